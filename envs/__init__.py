@@ -1,0 +1,30 @@
+"""Multi-agent tasks by name, as vectorised environments.
+
+    env = envs.make("lbf-15x15-3p-5f", num_envs=10, seed=1)
+    observations, info = env.reset()
+    observations, rewards, terminated, truncated, info = env.step(actions)
+
+`envs.vector` states the contract of an environment, `envs.tasks` the grammar of the names.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from envs.tasks import Task, TaskError, task, task_names
+from envs.vector import VectorEnv
+
+__all__ = ["Task", "TaskError", "VectorEnv", "make", "task", "task_names"]
+
+
+def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:
+    """Build num_envs sub-environments of a task.
+
+    seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
+    copy: False lets `reset` and `step` return the same arrays each time and allocate nothing.
+    Raises TaskError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
+    """
+    described = task(name)
+    module = importlib.import_module(f"envs.{described.module}")
+    env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+    return env

@@ -1,0 +1,126 @@
+"""What the compiled families share: the compiler with its cache, the random generator, the check of actions.
+
+Importing this module imports Numba, so only families with compiled rules do it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+import numpy as np
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def cache_folder() -> Path | None:
+    """The folder for this version of the rules in the user's cache directory, or None where it cannot be written.
+
+    Numba renews a cached function when the file it stands in changes, but not when a file that it calls does: stale
+    rules would run silently. A folder named by a hash of every source file of this package cannot be stale.
+    """
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    elif sys.platform == "darwin":
+        base = "~/Library/Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    sources = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        sources.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    try:
+        folder = Path(base).expanduser() / "marl-envs" / sources.hexdigest()[:16]
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # RuntimeError: there is no home directory
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+CACHE = cache_folder()
+
+
+def compiled(function: Function) -> Function:
+    """Compile a rule or a loop over rules; the result is kept on disk for the next process.
+
+    The folder is set for this function alone: what else the process compiles stays where the user wants it, and a
+    NUMBA_CACHE_DIR that the user has set is respected. Without a folder to write, each process compiles anew.
+    """
+    users_choice = numba.config.CACHE_DIR
+    if users_choice:
+        return numba.njit(cache=True)(function)
+    if CACHE is None:
+        return numba.njit(function)
+    numba.config.CACHE_DIR = str(CACHE)
+    try:
+        return numba.njit(cache=True)(function)
+    finally:
+        numba.config.CACHE_DIR = users_choice
+
+
+def wrapping(function: Function) -> Function:
+    """Silence NumPy's warning of integer overflow where the rules run uncompiled; compiled code never warns."""
+    return np.errstate(over="ignore")(function) if numba.config.DISABLE_JIT else function
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Random numbers: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014). Its whole
+# state is one unsigned integer, kept in an array with one entry per sub-environment. All constants are np.uint64,
+# because Numba turns a uint64 times an int literal into an int64.
+# ---------------------------------------------------------------------------------------------------------------------
+
+WEYL = np.uint64(0x9E3779B97F4A7C15)
+MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+MIX_2 = np.uint64(0x94D049BB133111EB)
+SHIFT_27 = np.uint64(27)
+SHIFT_30 = np.uint64(30)
+SHIFT_31 = np.uint64(31)
+SHIFT_32 = np.uint64(32)
+
+
+@wrapping
+@compiled
+def mix(x):
+    """Scramble a uint64: a bijection in which every input bit moves every output bit half of the time."""
+    x = (x ^ (x >> SHIFT_30)) * MIX_1
+    x = (x ^ (x >> SHIFT_27)) * MIX_2
+    return x ^ (x >> SHIFT_31)
+
+
+@wrapping
+@compiled
+def episode_state(seed, index, episode):
+    """The generator's state at the start of an episode: a hash of (seed, sub-environment, number of the episode)."""
+    x = mix(np.uint64(seed) + WEYL)
+    x = mix((x ^ np.uint64(index)) + WEYL)
+    return mix((x ^ np.uint64(episode)) + WEYL)
+
+
+@wrapping
+@compiled
+def random_below(random, e, bound):
+    """A uniform integer in 0 .. bound-1 from the generator of sub-environment e, for bounds below 2^32.
+
+    The upper half of the 64 bits, times the bound, shifted down: probabilities are even to bound / 2^32.
+    """
+    random[e] += WEYL
+    return np.int64(((mix(random[e]) >> SHIFT_32) * np.uint64(bound)) >> SHIFT_32)
+
+
+@compiled
+def forbidden_action(actions, action_mask):
+    """Index (sub-environment times agents plus agent) of the first action that may not be taken; -1: all are fine.
+
+    actions: int [env, agent]; action_mask: bool [env, agent, action].
+    """
+    n_envs, n_agents, n_actions = action_mask.shape
+    for e in range(n_envs):
+        for i in range(n_agents):
+            action = actions[e, i]
+            if action < 0 or action >= n_actions or not action_mask[e, i, action]:
+                return e * n_agents + i
+    return -1

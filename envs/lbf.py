@@ -1,0 +1,333 @@
+"""Level-Based Foraging (Albrecht and Ramamoorthy, 2013; Papoudakis et al., 2021): collect foods on a board, together.
+
+    lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]      n agents, f foods; -2s: sight 2; -c: cooperative; -v3: see below
+
+Agents and foods have levels. Agents next to a food (not diagonally) that load in the same step collect it if their
+levels add up to at least its own.
+
+Actions: 0 nothing, 1 north (row - 1), 2 south (row + 1), 3 west (column - 1), 4 east (column + 1), 5 load. All are always
+allowed; one that cannot be done (off the board, into a food, no food to load) is nothing. Agents that want to be on
+one and the same cell all stay where they are. An agent that stays because of this does not stop another from moving to
+its cell, so that two can stand on one: a quirk of the original, kept.
+
+Observation (3 f + 3 n values): for each visible food in row-major order row, column, level, then -1, -1, 0 for each food
+not seen; for the agent itself, then for the other visible agents in their order, row, column, level, then -1, -1, 0 for
+each agent not seen. Rows and columns count from the top left corner of what the agent sees: the cells up to `sight` away,
+cut off at the border. Sight is the larger side of the board, or 2. An agent is seen where both its coordinates, so
+counted, lie in 0 .. 2 sight; near the top and the left border that is further than the foods are seen (as in the
+original). State: the observations of all agents, one after the other.
+
+Reward of an agent for its part in a collected food: level * food / (sum of the loaders' levels * all foods' levels at
+the start); the team's reward is the sum over the agents, so that a cleared board is worth 1.
+End: no food left, a termination; step 50, a truncation.
+
+Start: agents have level 1 or 2, and S is the sum of the three smallest (of all, if there are fewer). Foods lie off the
+border and at least three steps from each other. A place is drawn at most 1,000 times: on a small board, where the first
+foods can leave no room for the next, an episode may have fewer than f. Cooperative foods have level S.
+    The paper's rules (version 1 of lbforaging): agents on all rows and columns but the last; food levels 1 .. S-1.
+    -v3, today's lbforaging: agents anywhere; food levels 1 .. S.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import vector
+from envs.kernels import compiled, episode_state, forbidden_action, random_below
+
+EPISODE_LIMIT = 50
+ATTEMPTS = 1000
+NORTH, SOUTH, WEST, EAST, LOAD = 1, 2, 3, 4, 5
+
+
+class State(NamedTuple):
+    """One game per entry of the leading axis."""
+
+    random: NDArray[np.uint64]  # [env] the generator's state
+    steps: NDArray[np.int64]  # [env]
+    agent: NDArray[np.int64]  # [env, agent, (row, column, level)]
+    target: NDArray[np.int64]  # [env, agent, (row, column)] where the agent wants to be after this step
+    loading: NDArray[np.bool_]  # [env, agent] whether it loads in this step
+    food: NDArray[np.int64]  # [env, food, (row, column, level)] in row-major order; level 0: collected
+    food_total: NDArray[np.int64]  # [env] sum of the foods' levels at the start
+    observations: NDArray[np.float32]  # [env, agent, value]
+    agent_rewards: NDArray[np.float32]  # [env, agent]
+    rewards: NDArray[np.float32]  # [env]
+    terminated: NDArray[np.bool_]  # [env]
+    truncated: NDArray[np.bool_]  # [env]
+
+
+class Config(NamedTuple):
+    """What the name says."""
+
+    rows: int
+    columns: int
+    sight: int
+    cooperative: bool
+    version: int
+
+
+@compiled
+def reset_env(state, config, e):
+    """Place agents, then foods."""
+    agent, food, random = state.agent, state.food, state.random
+    n_agents, n_foods = agent.shape[1], food.shape[1]
+    state.steps[e] = 0
+
+    margin = 1 if config.version == 1 else 0
+    level_one = 0
+    for i in range(n_agents):
+        free = False
+        while not free:  # the board has more cells than agents
+            row = random_below(random, e, config.rows - margin)
+            column = random_below(random, e, config.columns - margin)
+            free = True
+            for j in range(i):
+                free = free and (agent[e, j, 0] != row or agent[e, j, 1] != column)
+        agent[e, i, 0] = row
+        agent[e, i, 1] = column
+        agent[e, i, 2] = 1 + random_below(random, e, 2)
+        level_one += agent[e, i, 2] == 1
+        state.loading[e, i] = False
+
+    three = min(n_agents, 3)
+    three_smallest = three + max(0, three - level_one)  # each of the three that cannot be a 1 is a 2
+    highest = three_smallest
+    if config.version == 1 and not config.cooperative:
+        highest = max(1, three_smallest - 1)
+
+    placed = 0
+    attempts = 0
+    food[e, :, :] = 0
+    state.food_total[e] = 0
+    while placed < n_foods and attempts < ATTEMPTS:
+        attempts += 1
+        row = 1 + random_below(random, e, config.rows - 2)
+        column = 1 + random_below(random, e, config.columns - 2)
+        free = True
+        for f in range(placed):
+            free = free and abs(food[e, f, 0] - row) + abs(food[e, f, 1] - column) > 2
+        for i in range(n_agents):
+            free = free and (agent[e, i, 0] != row or agent[e, i, 1] != column)
+        if not free:
+            continue
+        level = highest if config.cooperative else 1 + random_below(random, e, highest)
+        f = placed
+        while f > 0 and (food[e, f - 1, 0], food[e, f - 1, 1]) > (row, column):  # keep row-major order
+            food[e, f] = food[e, f - 1]
+            f -= 1
+        food[e, f, 0] = row
+        food[e, f, 1] = column
+        food[e, f, 2] = level
+        state.food_total[e] += level
+        placed += 1
+
+
+@compiled
+def step_env(state, config, e, actions):
+    """Decide who wants to go where and who loads; move; load."""
+    agent, food, target, loading = state.agent, state.food, state.target, state.loading
+    n_agents, n_foods = agent.shape[1], food.shape[1]
+    state.steps[e] += 1
+
+    for i in range(n_agents):
+        row, column, action = agent[e, i, 0], agent[e, i, 1], actions[e, i]
+        to_row, to_column = row, column
+        if action == NORTH:
+            to_row = max(row - 1, 0)
+        elif action == SOUTH:
+            to_row = min(row + 1, config.rows - 1)
+        elif action == WEST:
+            to_column = max(column - 1, 0)
+        elif action == EAST:
+            to_column = min(column + 1, config.columns - 1)
+        loading[e, i] = False
+        for f in range(n_foods):
+            if food[e, f, 2] > 0:
+                if food[e, f, 0] == to_row and food[e, f, 1] == to_column:
+                    to_row, to_column = row, column
+                if action == LOAD and abs(food[e, f, 0] - row) + abs(food[e, f, 1] - column) == 1:
+                    loading[e, i] = True
+        target[e, i, 0] = to_row
+        target[e, i, 1] = to_column
+
+    for i in range(n_agents):
+        alone = True
+        for j in range(n_agents):
+            if j != i and target[e, j, 0] == target[e, i, 0] and target[e, j, 1] == target[e, i, 1]:
+                alone = False
+        if alone:
+            agent[e, i, 0] = target[e, i, 0]
+            agent[e, i, 1] = target[e, i, 1]
+
+    # Foods are three steps apart, so no agent is next to two of them.
+    state.agent_rewards[e, :] = 0
+    team_reward = 0.0
+    left = 0
+    for f in range(n_foods):
+        level = food[e, f, 2]
+        if level == 0:
+            continue
+        loaders = 0
+        for i in range(n_agents):
+            if loading[e, i] and abs(food[e, f, 0] - agent[e, i, 0]) + abs(food[e, f, 1] - agent[e, i, 1]) == 1:
+                loaders += agent[e, i, 2]
+        if loaders < level:
+            left += 1
+            continue
+        food[e, f, 2] = 0
+        for i in range(n_agents):
+            if loading[e, i] and abs(food[e, f, 0] - agent[e, i, 0]) + abs(food[e, f, 1] - agent[e, i, 1]) == 1:
+                reward = agent[e, i, 2] * level / (loaders * state.food_total[e])
+                state.agent_rewards[e, i] = reward
+                team_reward += reward
+    state.rewards[e] = team_reward
+    state.terminated[e] = left == 0
+    state.truncated[e] = left > 0 and state.steps[e] == EPISODE_LIMIT
+
+
+@compiled
+def observe_env(state, config, e):
+    """Write what each agent sees."""
+    agent, food, observations = state.agent, state.food, state.observations
+    n_agents, n_foods = agent.shape[1], food.shape[1]
+    sight = config.sight
+    for i in range(n_agents):
+        row, column = agent[e, i, 0], agent[e, i, 1]
+        top, left = max(row - sight, 0), max(column - sight, 0)
+        seen = 0
+        for f in range(n_foods):
+            if food[e, f, 2] > 0 and abs(food[e, f, 0] - row) <= sight and abs(food[e, f, 1] - column) <= sight:
+                observations[e, i, seen] = food[e, f, 0] - top
+                observations[e, i, seen + 1] = food[e, f, 1] - left
+                observations[e, i, seen + 2] = food[e, f, 2]
+                seen += 3
+        while seen < 3 * n_foods:
+            observations[e, i, seen] = -1
+            observations[e, i, seen + 1] = -1
+            observations[e, i, seen + 2] = 0
+            seen += 3
+        observations[e, i, seen] = row - top
+        observations[e, i, seen + 1] = column - left
+        observations[e, i, seen + 2] = agent[e, i, 2]
+        seen += 3
+        for j in range(n_agents):
+            r, c = agent[e, j, 0] - top, agent[e, j, 1] - left
+            if j != i and 0 <= r <= 2 * sight and 0 <= c <= 2 * sight:
+                observations[e, i, seen] = r
+                observations[e, i, seen + 1] = c
+                observations[e, i, seen + 2] = agent[e, j, 2]
+                seen += 3
+        while seen < 3 * (n_foods + n_agents):
+            observations[e, i, seen] = -1
+            observations[e, i, seen + 1] = -1
+            observations[e, i, seen + 2] = 0
+            seen += 3
+
+
+# The loops take the fields of State and Config one by one: a NamedTuple costs microseconds at the border to Python.
+
+
+@compiled
+def reset_all(
+    random, steps, agent, target, loading, food, food_total,
+    observations, agent_rewards, rewards, terminated, truncated,
+    rows, columns, sight, cooperative, version,
+    mask, seed, episodes,
+):  # fmt: skip
+    state = State(
+        random, steps, agent, target, loading, food, food_total,
+        observations, agent_rewards, rewards, terminated, truncated,
+    )  # fmt: skip
+    config = Config(rows, columns, sight, cooperative, version)
+    for e in range(len(mask)):
+        if mask[e]:
+            random[e] = episode_state(seed, e, episodes[e])
+            reset_env(state, config, e)
+            observe_env(state, config, e)
+
+
+@compiled
+def step_all(
+    random, steps, agent, target, loading, food, food_total,
+    observations, agent_rewards, rewards, terminated, truncated,
+    rows, columns, sight, cooperative, version,
+    action_mask, actions,
+):  # fmt: skip
+    refused = forbidden_action(actions, action_mask)
+    if refused >= 0:
+        return refused
+    state = State(
+        random, steps, agent, target, loading, food, food_total,
+        observations, agent_rewards, rewards, terminated, truncated,
+    )  # fmt: skip
+    config = Config(rows, columns, sight, cooperative, version)
+    for e in range(len(rewards)):
+        if terminated[e] or truncated[e]:
+            agent_rewards[e, :] = 0
+            rewards[e] = 0
+        else:
+            step_env(state, config, e, actions)
+            observe_env(state, config, e)
+    return -1
+
+
+class Env(vector.VectorEnv):
+    """Level-Based Foraging; see the module's docstring."""
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int,
+        seed: int,
+        copy: bool,
+        *,
+        rows: int,
+        columns: int,
+        n_agents: int,
+        n_foods: int,
+        sight: int,
+        cooperative: bool,
+        version: int,
+    ) -> None:
+        """version: 1, the paper's start, or 3, that of today's lbforaging."""
+        super().__init__(
+            name,
+            num_envs,
+            seed,
+            copy,
+            n_agents=n_agents,
+            n_actions=6,
+            obs_size=3 * n_foods + 3 * n_agents,
+            episode_limit=EPISODE_LIMIT,
+            low=-1,
+            high=max(rows - 1, columns - 1, 2 * min(n_agents, 3)),
+        )
+        self.game = State(
+            random=np.zeros(num_envs, np.uint64),
+            steps=np.zeros(num_envs, np.int64),
+            agent=np.zeros((num_envs, n_agents, 3), np.int64),
+            target=np.zeros((num_envs, n_agents, 2), np.int64),
+            loading=np.zeros((num_envs, n_agents), np.bool_),
+            food=np.zeros((num_envs, n_foods, 3), np.int64),
+            food_total=np.zeros(num_envs, np.int64),
+            observations=self.observations,
+            agent_rewards=self.agent_rewards,
+            rewards=self.rewards,
+            terminated=self.terminated,
+            truncated=self.truncated,
+        )
+        self.config = Config(rows, columns, sight, cooperative, version)
+        self._arguments = (*self.game, *self.config)
+        self._step_arguments = (*self._arguments, self.action_mask)
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """See `VectorEnv`."""
+        reset_all(*self._arguments, mask, seed, episodes)
+
+    def step_envs(self, actions: NDArray[np.int64]) -> int:
+        """See `VectorEnv`."""
+        return step_all(*self._step_arguments, actions)

@@ -1,0 +1,91 @@
+"""The repeated matrix games of Claus and Boutilier (1998): climbing and penalty.
+
+Two agents choose a row and a column at the same time and both receive the entry of the payoff matrix, 25 times.
+
+    climbing    0    6   5         penalty   -k   0  10
+              -30    7   0                    0   2   0
+               11  -30   0                   10   0  -k
+
+Observation: two zeros per agent, always. Actions: 0, 1, 2, the row (agent 0) or the column (agent 1).
+Reward: the payoff, for each agent; the team's reward is the mean over the agents, which is the payoff.
+End: step 25, a truncation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import vector
+from envs.kernels import compiled, forbidden_action
+
+EPISODE_LIMIT = 25
+CLIMBING = ((0, 6, 5), (-30, 7, 0), (11, -30, 0))
+
+
+class State(NamedTuple):
+    """One game per entry of the leading axis."""
+
+    steps: NDArray[np.int64]  # [env]
+    agent_rewards: NDArray[np.float32]  # [env, agent]
+    truncated: NDArray[np.bool_]  # [env]
+
+
+@compiled
+def reset_env(state, e):
+    state.steps[e] = 0
+
+
+@compiled
+def step_env(state, payoff, e, actions):
+    state.steps[e] += 1
+    for i in range(2):
+        state.agent_rewards[e, i] = payoff[actions[e, 0], actions[e, 1]]
+    state.truncated[e] = state.steps[e] == EPISODE_LIMIT
+
+
+@compiled
+def reset_all(steps, agent_rewards, truncated, mask):
+    state = State(steps, agent_rewards, truncated)
+    for e in range(len(mask)):
+        if mask[e]:
+            reset_env(state, e)
+
+
+@compiled
+def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, actions):
+    refused = forbidden_action(actions, action_mask)
+    if refused >= 0:
+        return refused
+    state = State(steps, agent_rewards, truncated)
+    for e in range(len(rewards)):
+        if truncated[e]:
+            agent_rewards[e, :] = 0
+            rewards[e] = 0
+        else:
+            step_env(state, payoff, e, actions)
+            rewards[e] = (agent_rewards[e, 0] + agent_rewards[e, 1]) / 2
+    return -1
+
+
+class Env(vector.VectorEnv):
+    """Matrix games; see the module's docstring."""
+
+    def __init__(self, name: str, num_envs: int, seed: int, copy: bool, penalty: int | None) -> None:
+        """penalty: k of the penalty game, None for climbing."""
+        super().__init__(
+            name, num_envs, seed, copy, n_agents=2, n_actions=3, obs_size=2, episode_limit=EPISODE_LIMIT, low=0, high=0
+        )
+        matrix = CLIMBING if penalty is None else ((-penalty, 0, 10), (0, 2, 0), (10, 0, -penalty))
+        self._arrays = (np.zeros(num_envs, np.int64), self.agent_rewards, self.truncated)
+        self._step_arrays = (*self._arrays, self.rewards, self.action_mask, np.array(matrix, np.float32))
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """See `VectorEnv`; there is nothing random in these games."""
+        reset_all(*self._arrays, mask)
+
+    def step_envs(self, actions: NDArray[np.int64]) -> int:
+        """See `VectorEnv`."""
+        return step_all(*self._step_arrays, actions)

@@ -1,0 +1,130 @@
+"""The grammar of task names, and what the paper says of each task.
+
+    matrix-climbing  matrix-penalty-<k>
+    lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
+
+A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
+form, or raises TaskError where it has the form but no game can be played. `PARSERS` lists them.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+class TaskError(ValueError):
+    """A task name that is unknown, or that no game can be made of; the message is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task by its name, with what the paper says of it.
+
+    family: whose hyperparameters apply (a family of the paper: matrix, mpe, smac, lbf, rware).
+    on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
+    eval_points: evaluations in a run, the one before training included.
+    module, settings: the module of this package that plays the task, and what its environment is built with.
+    """
+
+    name: str
+    family: str
+    on_policy_timesteps: int
+    off_policy_timesteps: int
+    eval_points: int
+    module: str = field(repr=False)
+    settings: Mapping[str, Any] = field(repr=False, hash=False)
+
+
+PAPER_TASKS = (
+    "matrix-climbing",
+    "matrix-penalty-0",
+    "matrix-penalty-25",
+    "matrix-penalty-50",
+    "matrix-penalty-75",
+    "matrix-penalty-100",
+    "lbf-8x8-2p-2f-c",
+    "lbf-8x8-2p-2f-2s-c",
+    "lbf-10x10-3p-3f",
+    "lbf-10x10-3p-3f-2s",
+    "lbf-15x15-3p-5f",
+    "lbf-15x15-4p-3f",
+    "lbf-15x15-4p-5f",
+)
+
+
+def task_names() -> list[str]:
+    """The names of the paper's tasks; the grammar above makes many more."""
+    return list(PAPER_TASKS)
+
+
+def task(name: str) -> Task:
+    """The task of that name. TaskError: the name is unknown (the message has the nearest ones) or impossible."""
+    for parse in PARSERS:
+        found = parse(name)
+        if found is not None:
+            return found
+    nearest = difflib.get_close_matches(name, PAPER_TASKS, n=3, cutoff=0.0)
+    raise TaskError(f"unknown task {name!r}; the nearest are {', '.join(nearest)}.")
+
+
+NUMBER = "(0|[1-9][0-9]*)"
+
+
+def parse_matrix(name: str) -> Task | None:
+    """The climbing game, or the penalty game with a penalty of -k for any whole k."""
+    match = re.fullmatch(f"matrix-(?:climbing|penalty-{NUMBER})", name)
+    if match is None:
+        return None
+    penalty = None if match[1] is None else int(match[1])
+    if penalty is not None and penalty > 2**24:
+        raise TaskError(f"{name}: the penalty is larger than 2^24, up to which a 32-bit reward is exact.")
+    return Task(name, "matrix", 2_500_000, 250_000, 101, "matrix", {"penalty": penalty})
+
+
+def parse_lbf(name: str) -> Task | None:
+    """Level-Based Foraging on a board of any size that has room for the foods and the agents."""
+    match = re.fullmatch(f"lbf-{NUMBER}x{NUMBER}-{NUMBER}p-{NUMBER}f(-2s)?(-c)?(-v3)?", name)
+    if match is None:
+        return None
+    rows, columns, n_agents, n_foods = (int(match[i]) for i in range(1, 5))
+    if n_agents == 0 or n_foods == 0:
+        raise TaskError(f"{name}: the game needs at least one agent and one food.")
+    if rows < 3 or columns < 3:
+        raise TaskError(f"{name}: foods lie off the border, so a board has at least 3 rows and 3 columns.")
+    if (rows - 2) * (columns - 2) <= n_agents:
+        raise TaskError(f"{name}: {n_agents} agents may leave no cell off the border free for a food.")
+    room = room_for_foods(rows, columns, n_foods)
+    if room < n_foods:
+        raise TaskError(
+            f"{name}: foods lie off the border and at least three steps apart, so a {rows}x{columns} board has room "
+            f"for {room}, not {n_foods}."
+        )
+    settings = {
+        "rows": rows,
+        "columns": columns,
+        "n_agents": n_agents,
+        "n_foods": n_foods,
+        "sight": 2 if match[5] else max(rows, columns),
+        "cooperative": match[6] is not None,
+        "version": 3 if match[7] else 1,
+    }
+    return Task(name, "lbf", 20_000_000, 2_000_000, 41, "lbf", settings)
+
+
+def room_for_foods(rows: int, columns: int, wanted: int) -> int:
+    """How many foods, up to the number wanted, fit on a board when each is put on the first cell that is still free."""
+    placed: list[tuple[int, int]] = []
+    for row in range(1, rows - 1):
+        for column in range(1, columns - 1):
+            if len(placed) == wanted:
+                return wanted
+            if all(abs(row - r) + abs(column - c) > 2 for r, c in placed):
+                placed.append((row, column))
+    return len(placed)
+
+
+PARSERS = (parse_matrix, parse_lbf)

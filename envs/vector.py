@@ -1,0 +1,218 @@
+"""The contract of an environment: many copies of a task, stepped together, as a `gymnasium.vector.VectorEnv`.
+
+    observations, info = env.reset(seed=None, options=None)
+    observations, rewards, terminated, truncated, info = env.step(actions)
+
+    actions                int     [num_envs, n_agents]
+    observations           float32 [num_envs, n_agents, obs_size]    padded at the end to the largest agent
+    rewards                float32 [num_envs]      the team's reward on the paper's scale
+    terminated             bool    [num_envs]      a real end: the value after it is zero
+    truncated              bool    [num_envs]      the clock ran out: the state after it still has a value
+    info["agent_rewards"]  float32 [num_envs, n_agents]              each agent's own reward
+    info["state"]          float32 [num_envs, state_size]            where the state is the observations: a view of them
+    info["action_mask"]    bool    [num_envs, n_agents, n_actions]   always at least one action
+
+Nothing resets by itself (autoreset mode DISABLED). A finished sub-environment stands still, with reward 0 and its flag
+up, until a reset: of all, or of those that options["reset_mask"] (bool [num_envs]) names.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.spaces import Box, MultiDiscrete
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+Info = dict[str, Any]
+
+
+class VectorEnv(GymnasiumVectorEnv):
+    """What all families share; a family fills the arrays in `reset_envs` and `step_envs`.
+
+    name, num_envs, n_agents, n_actions, obs_size, state_size, episode_limit: what the task is made of.
+    seed: the seed now in use. episode: the number of episodes begun, all that a checkpoint must keep.
+    """
+
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
+    can_draw = False
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int,
+        seed: int,
+        copy: bool,
+        *,
+        n_agents: int,
+        n_actions: int,
+        obs_size: int,
+        episode_limit: int,
+        low: float,
+        high: float,
+        state_size: int | None = None,
+    ) -> None:
+        """low, high: the bounds of an observation's values. state_size: None where the state is the observations."""
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
+        self.name, self.num_envs, self.copy = name, num_envs, copy
+        self.n_agents, self.n_actions, self.obs_size = n_agents, n_actions, obs_size
+        self.state_size = n_agents * obs_size if state_size is None else state_size
+        self.episode_limit = episode_limit
+
+        self.single_observation_space = Box(low, high, (n_agents, obs_size), np.float32)
+        self.single_action_space = MultiDiscrete([n_actions] * n_agents)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+        self.observations = np.zeros((num_envs, n_agents, obs_size), np.float32)
+        self.rewards = np.zeros(num_envs, np.float32)
+        self.terminated = np.zeros(num_envs, np.bool_)
+        self.truncated = np.zeros(num_envs, np.bool_)
+        self.agent_rewards = np.zeros((num_envs, n_agents), np.float32)
+        self.action_mask = np.ones((num_envs, n_agents, n_actions), np.bool_)
+        self.state_is_observations = state_size is None
+        self.state = (
+            self.observations.reshape(num_envs, -1) if state_size is None else np.zeros((num_envs, state_size), np.float32)
+        )
+        self.reported: dict[str, NDArray[Any]] = {}  # what a family adds to info
+
+        self._info: Info = {}
+        self._episodes = np.zeros(num_envs, np.int64)  # episodes begun, per sub-environment
+        self._shape = (num_envs, n_agents)
+        self._begun = np.zeros(num_envs, np.bool_)
+        self._ready = False
+        self._set_seed(seed)
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """Begin episode episodes[i] in each sub-environment i of the mask; flags and rewards are already cleared."""
+        raise NotImplementedError
+
+    def step_envs(self, actions: NDArray[np.int64]) -> int:
+        """Step each sub-environment that has not finished, unless an action is forbidden.
+
+        Returns the index (sub-environment times agents plus agent) of the first forbidden action, or -1.
+        """
+        raise NotImplementedError
+
+    def frame(self, index: int = 0) -> NDArray[np.uint8]:
+        """A picture, uint8 [height, width, 3], of one sub-environment. Families with `can_draw` override this."""
+        raise ValueError(f"{self.name} has no picture.")
+
+    @property
+    def episode(self) -> int:
+        """Episodes begun; where masked resets made the sub-environments differ, the largest, so nothing is replayed."""
+        return int(self._episodes.max())
+
+    @episode.setter
+    def episode(self, episode: int) -> None:
+        self._episodes[:] = episode
+
+    def _set_seed(self, seed: int) -> None:
+        if not 0 <= seed < 2**64:
+            raise ValueError(f"seed is {seed}; it must lie between 0 and 2^64 - 1.")
+        self.seed = int(seed)
+        self._seed = np.uint64(seed)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], Info]:
+        """Begin an episode in all sub-environments, or in those of options["reset_mask"].
+
+        A full reset begins the same episode, number `env.episode`, everywhere. A seed starts again at its episode 0.
+        """
+        mask = options.get("reset_mask") if options else None
+        if mask is None:
+            mask = np.ones(self.num_envs, np.bool_)
+            self._episodes[:] = self._episodes.max()
+        else:
+            self._check_mask(mask)
+        if seed is not None:
+            self._set_seed(seed)
+            super().reset(seed=seed)
+            self._episodes[:] = 0
+        self.rewards[mask] = 0
+        self.agent_rewards[mask] = 0
+        self.terminated[mask] = False
+        self.truncated[mask] = False
+        self.reset_envs(mask, self._seed, self._episodes)
+        self._episodes[mask] += 1
+        if not self._ready:
+            self._begun |= mask
+            self._ready = bool(self._begun.all())
+            self._info = {
+                "agent_rewards": self.agent_rewards,
+                "state": self.state,
+                "action_mask": self.action_mask,
+                **self.reported,
+            }
+            self._own_keys = frozenset(self._info)
+            self._result = (self.observations, self.rewards, self.terminated, self.truncated, self._info)
+        observations, *_, info = self._outcome()
+        return observations, info
+
+    def step(  # type: ignore[override]
+        self, actions: Any
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], Info]:
+        """Let every agent act: actions are integers [num_envs, n_agents].
+
+        Raises ValueError for actions of another shape or kind, out of range or forbidden (nothing has happened then),
+        gymnasium.error.ResetNeeded where a sub-environment has never been reset.
+        """
+        if not self._ready:
+            raise ResetNeeded(f"{self.name}: call reset() for every sub-environment before step().")
+        if (
+            type(actions) is not np.ndarray
+            or actions.dtype != np.int64
+            or actions.shape != self._shape
+            or not actions.flags.c_contiguous
+        ):
+            actions = self._as_actions(actions)
+        refused = self.step_envs(actions)
+        if refused >= 0:
+            raise self._refusal(actions, refused)
+        return self._outcome()
+
+    def _outcome(self) -> tuple[Any, Any, Any, Any, Info]:
+        """The five results of a step: the arrays themselves, or copies of them that the caller may keep."""
+        if not self.copy:
+            if len(self._info) != len(self._own_keys):  # a wrapper has added its own entries to the shared dictionary
+                for key in self._info.keys() - self._own_keys:
+                    del self._info[key]
+            return self._result
+        observations = self.observations.copy()
+        info = {key: value.copy() for key, value in self._info.items() if key != "state"}
+        info["state"] = observations.reshape(self.state.shape) if self.state_is_observations else self.state.copy()
+        return observations, self.rewards.copy(), self.terminated.copy(), self.truncated.copy(), info
+
+    def _as_actions(self, actions: Any) -> NDArray[np.int64]:
+        """Actions of any integer kind, lists too, as the array that the compiled rules take."""
+        array = np.asarray(actions)
+        if array.shape != (self.num_envs, self.n_agents):
+            raise ValueError(
+                f"{self.name}: actions have the shape {array.shape}, not (num_envs, n_agents) = "
+                f"({self.num_envs}, {self.n_agents})."
+            )
+        if array.dtype.kind not in "iu":
+            raise ValueError(f"{self.name}: actions are {array.dtype}, not integers.")
+        return np.ascontiguousarray(array, np.int64)
+
+    def _refusal(self, actions: NDArray[np.int64], refused: int) -> ValueError:
+        index, agent = divmod(refused, self.n_agents)
+        action = int(actions[index, agent])
+        why = (
+            "is forbidden by the action mask"
+            if 0 <= action < self.n_actions
+            else f"does not exist; actions are 0 to {self.n_actions - 1}"
+        )
+        return ValueError(f"{self.name}: sub-environment {index}, agent {agent}: action {action} {why}.")
+
+    def _check_mask(self, mask: Any) -> None:
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError('options["reset_mask"] must be a NumPy array of booleans.')
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f'options["reset_mask"] has the shape {mask.shape}, not ({self.num_envs},).')
+        if not mask.any():
+            raise ValueError('options["reset_mask"] names no sub-environment.')
