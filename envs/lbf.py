@@ -50,8 +50,9 @@ class State(NamedTuple):
     steps: NDArray[np.int64]  # [env]
     agent: NDArray[np.int64]  # [env, agent, (row, column, level)]
     target: NDArray[np.int64]  # [env, agent, (row, column)] where the agent wants to be after this step
-    loading: NDArray[np.bool_]  # [env, agent] whether it loads in this step
+    loading: NDArray[np.int64]  # [env, agent] the food that it loads in this step; -1: none
     food: NDArray[np.int64]  # [env, food, (row, column, level)] in row-major order; level 0: collected
+    food_left: NDArray[np.int64]  # [env] how many are left
     food_total: NDArray[np.int64]  # [env] sum of the foods' levels at the start
     observations: NDArray[np.float32]  # [env, agent, value]
     agent_rewards: NDArray[np.float32]  # [env, agent]
@@ -91,7 +92,7 @@ def reset_env(state, config, e):
         agent[e, i, 1] = column
         agent[e, i, 2] = 1 + random_below(random, e, 2)
         level_one += agent[e, i, 2] == 1
-        state.loading[e, i] = False
+        state.loading[e, i] = -1
 
     three = min(n_agents, 3)
     three_smallest = three + max(0, three - level_one)  # each of the three that cannot be a 1 is a 2
@@ -124,6 +125,7 @@ def reset_env(state, config, e):
         food[e, f, 2] = level
         state.food_total[e] += level
         placed += 1
+    state.food_left[e] = placed
 
 
 @compiled
@@ -135,58 +137,50 @@ def step_env(state, config, e, actions):
 
     for i in range(n_agents):
         row, column, action = agent[e, i, 0], agent[e, i, 1], actions[e, i]
-        to_row, to_column = row, column
-        if action == NORTH:
-            to_row = max(row - 1, 0)
-        elif action == SOUTH:
-            to_row = min(row + 1, config.rows - 1)
-        elif action == WEST:
-            to_column = max(column - 1, 0)
-        elif action == EAST:
-            to_column = min(column + 1, config.columns - 1)
-        loading[e, i] = False
+        to_row = min(max(row + (action == SOUTH) - (action == NORTH), 0), config.rows - 1)
+        to_column = min(max(column + (action == EAST) - (action == WEST), 0), config.columns - 1)
+        blocked = False
+        next_to = -1  # foods are three steps apart: no agent is next to two of them
         for f in range(n_foods):
-            if food[e, f, 2] > 0:
-                if food[e, f, 0] == to_row and food[e, f, 1] == to_column:
-                    to_row, to_column = row, column
-                if action == LOAD and abs(food[e, f, 0] - row) + abs(food[e, f, 1] - column) == 1:
-                    loading[e, i] = True
-        target[e, i, 0] = to_row
-        target[e, i, 1] = to_column
+            there = food[e, f, 2] > 0
+            blocked |= there & (food[e, f, 0] == to_row) & (food[e, f, 1] == to_column)
+            if there & (abs(food[e, f, 0] - row) + abs(food[e, f, 1] - column) == 1):
+                next_to = f
+        target[e, i, 0] = row if blocked else to_row
+        target[e, i, 1] = column if blocked else to_column
+        loading[e, i] = next_to if action == LOAD else -1
 
     for i in range(n_agents):
         alone = True
         for j in range(n_agents):
-            if j != i and target[e, j, 0] == target[e, i, 0] and target[e, j, 1] == target[e, i, 1]:
-                alone = False
+            alone &= (j == i) | (target[e, j, 0] != target[e, i, 0]) | (target[e, j, 1] != target[e, i, 1])
         if alone:
             agent[e, i, 0] = target[e, i, 0]
             agent[e, i, 1] = target[e, i, 1]
+        state.agent_rewards[e, i] = 0
 
-    # Foods are three steps apart, so no agent is next to two of them.
-    state.agent_rewards[e, :] = 0
     team_reward = 0.0
-    left = 0
-    for f in range(n_foods):
+    for i in range(n_agents):
+        f = loading[e, i]
+        if f < 0 or food[e, f, 2] == 0:
+            continue
         level = food[e, f, 2]
-        if level == 0:
-            continue
         loaders = 0
-        for i in range(n_agents):
-            if loading[e, i] and abs(food[e, f, 0] - agent[e, i, 0]) + abs(food[e, f, 1] - agent[e, i, 1]) == 1:
-                loaders += agent[e, i, 2]
+        for j in range(n_agents):
+            loaders += agent[e, j, 2] if loading[e, j] == f else 0
         if loaders < level:
-            left += 1
             continue
-        food[e, f, 2] = 0
-        for i in range(n_agents):
-            if loading[e, i] and abs(food[e, f, 0] - agent[e, i, 0]) + abs(food[e, f, 1] - agent[e, i, 1]) == 1:
-                reward = agent[e, i, 2] * level / (loaders * state.food_total[e])
-                state.agent_rewards[e, i] = reward
+        for j in range(n_agents):
+            if loading[e, j] == f:
+                reward = agent[e, j, 2] * level / (loaders * state.food_total[e])
+                state.agent_rewards[e, j] = reward
                 team_reward += reward
+        food[e, f, 2] = 0
+        state.food_left[e] -= 1
     state.rewards[e] = team_reward
-    state.terminated[e] = left == 0
-    state.truncated[e] = left > 0 and state.steps[e] == EPISODE_LIMIT
+
+    state.terminated[e] = state.food_left[e] == 0
+    state.truncated[e] = state.food_left[e] > 0 and state.steps[e] == EPISODE_LIMIT
 
 
 @compiled
@@ -233,13 +227,13 @@ def observe_env(state, config, e):
 
 @compiled
 def reset_all(
-    random, steps, agent, target, loading, food, food_total,
+    random, steps, agent, target, loading, food, food_left, food_total,
     observations, agent_rewards, rewards, terminated, truncated,
     rows, columns, sight, cooperative, version,
     mask, seed, episodes,
 ):  # fmt: skip
     state = State(
-        random, steps, agent, target, loading, food, food_total,
+        random, steps, agent, target, loading, food, food_left, food_total,
         observations, agent_rewards, rewards, terminated, truncated,
     )  # fmt: skip
     config = Config(rows, columns, sight, cooperative, version)
@@ -252,7 +246,7 @@ def reset_all(
 
 @compiled
 def step_all(
-    random, steps, agent, target, loading, food, food_total,
+    random, steps, agent, target, loading, food, food_left, food_total,
     observations, agent_rewards, rewards, terminated, truncated,
     rows, columns, sight, cooperative, version,
     action_mask, actions,
@@ -261,7 +255,7 @@ def step_all(
     if refused >= 0:
         return refused
     state = State(
-        random, steps, agent, target, loading, food, food_total,
+        random, steps, agent, target, loading, food, food_left, food_total,
         observations, agent_rewards, rewards, terminated, truncated,
     )  # fmt: skip
     config = Config(rows, columns, sight, cooperative, version)
@@ -311,8 +305,9 @@ class Env(vector.VectorEnv):
             steps=np.zeros(num_envs, np.int64),
             agent=np.zeros((num_envs, n_agents, 3), np.int64),
             target=np.zeros((num_envs, n_agents, 2), np.int64),
-            loading=np.zeros((num_envs, n_agents), np.bool_),
+            loading=np.zeros((num_envs, n_agents), np.int64),
             food=np.zeros((num_envs, n_foods, 3), np.int64),
+            food_left=np.zeros(num_envs, np.int64),
             food_total=np.zeros(num_envs, np.int64),
             observations=self.observations,
             agent_rewards=self.agent_rewards,
