@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import importlib
 
+from envs.provenance import provenance
 from envs.tasks import Task, TaskError, task, task_names
+from envs.tasks import TaskError as InputError
 from envs.vector import VectorEnv
 
-__all__ = ["Task", "TaskError", "VectorEnv", "make", "task", "task_names"]
+__all__ = ["InputError", "Task", "TaskError", "VectorEnv", "make", "provenance", "task", "task_names"]
 
 
 def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:

@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -42,26 +42,29 @@ def cache_folder() -> str | None:
 
 
 CACHE = cache_folder()
+NUMBA: Any = numba.config  # its attributes are made at run time
 
 
 def compiled(function: Function) -> Function:
     """Compile a rule or a loop over rules; the result is kept on disk for the next process.
 
-    The folder is set for this function alone: what else the process compiles stays where the user wants it, and a
-    NUMBA_CACHE_DIR that the user has set is respected. Without a folder to write, each process compiles anew.
+    The folder is set for this function alone: what else the process compiles stays where the user wants it. A
+    NUMBA_CACHE_DIR that the user has set is respected. Where no folder can be written each process compiles anew.
     """
-    users_folder = numba.config.CACHE_DIR
+    users_folder = NUMBA.CACHE_DIR
     folder = users_folder or CACHE or ""
-    numba.config.CACHE_DIR = folder
+    NUMBA.CACHE_DIR = folder
     try:
-        return numba.njit(function, cache=folder != "", forceinline=True)  # inlined, a step takes half the time
+        # Inlined, a step takes half the time: a rule receives too many arrays for cheap calls.
+        result: Any = numba.njit(function, cache=folder != "", forceinline=True)
     finally:
-        numba.config.CACHE_DIR = users_folder
+        NUMBA.CACHE_DIR = users_folder
+    return result
 
 
 def wrapping(function: Function) -> Function:
     """Silence NumPy's warning of integer overflow where the rules run uncompiled; compiled code never warns."""
-    return np.errstate(over="ignore")(function) if numba.config.DISABLE_JIT else function
+    return np.errstate(over="ignore")(function) if NUMBA.DISABLE_JIT else function
 
 
 # ---------------------------------------------------------------------------------------------------------------------

@@ -5,27 +5,28 @@
 Agents and foods have levels. Agents next to a food (not diagonally) that load in the same step collect it if their
 levels add up to at least its own.
 
-Actions: 0 nothing, 1 north (row - 1), 2 south (row + 1), 3 west (column - 1), 4 east (column + 1), 5 load. All are always
-allowed; one that cannot be done (off the board, into a food, no food to load) is nothing. Agents that want to be on
-one and the same cell all stay where they are. An agent that stays because of this does not stop another from moving to
-its cell, so that two can stand on one: a quirk of the original, kept.
+Actions: 0 nothing, 1 north (row - 1), 2 south (row + 1), 3 west (column - 1), 4 east (column + 1), 5 load. The mask
+always allows all; an action that cannot be done (off the board, into a food, no food to load) is nothing. Agents that
+head for one and the same cell all stay where they are, also if one of them is there already. An agent held back in this
+way does not stop another from moving onto its cell, so that two can stand on one: a quirk of the original, kept.
 
-Observation (3 f + 3 n values): for each visible food in row-major order row, column, level, then -1, -1, 0 for each food
-not seen; for the agent itself, then for the other visible agents in their order, row, column, level, then -1, -1, 0 for
-each agent not seen. Rows and columns count from the top left corner of what the agent sees: the cells up to `sight` away,
-cut off at the border. Sight is the larger side of the board, or 2. An agent is seen where both its coordinates, so
-counted, lie in 0 .. 2 sight; near the top and the left border that is further than the foods are seen (as in the
-original). State: the observations of all agents, one after the other.
+Observation (3 f + 3 n values):
+    row, column, level of each visible food, in row-major order; -1, -1, 0 for each food that is not seen or not there;
+    row, column, level of the agent itself, then of each other visible agent, in order; -1, -1, 0 for each not seen.
+Sight is 2 or, without -2s, the larger side of the board. An agent sees the foods up to `sight` rows and columns away;
+rows and columns are counted from the top left corner of this window, cut off at the border. Another agent is visible
+where both its coordinates, counted like this, lie in 0 .. 2 sight: near the top and the left border that is further
+than foods are seen (a quirk of the original, kept). State: the observations of all agents, one after the other.
 
-Reward of an agent for its part in a collected food: level * food / (sum of the loaders' levels * all foods' levels at
-the start); the team's reward is the sum over the agents, so that a cleared board is worth 1.
+Reward of an agent for its part in a collected food: level * food / (sum of the loaders' levels * sum of all foods'
+levels at the start). The team's reward is the sum over the agents: a cleared board has brought 1.
 End: no food left, a termination; step 50, a truncation.
 
-Start: agents have level 1 or 2, and S is the sum of the three smallest (of all, if there are fewer). Foods lie off the
-border and at least three steps from each other. A place is drawn at most 1,000 times: on a small board, where the first
-foods can leave no room for the next, an episode may have fewer than f. Cooperative foods have level S.
+Start: agents have level 1 or 2; S is the sum of the three smallest levels (of all, if there are fewer agents). Foods
+lie off the border, no two of them within two steps. At most 1,000 places are drawn for them: on a small board, where
+the first foods can leave no room for the next, an episode may begin with fewer than f. Cooperative foods have level S.
     The paper's rules (version 1 of lbforaging): agents on all rows and columns but the last; food levels 1 .. S-1.
-    -v3, today's lbforaging: agents anywhere; food levels 1 .. S.
+    -v3 (today's lbforaging): agents on all cells; food levels 1 .. S.
 """
 
 from __future__ import annotations
@@ -42,12 +43,17 @@ EPISODE_LIMIT = 50
 ATTEMPTS = 1000
 NORTH, SOUTH, WEST, EAST, LOAD = 1, 2, 3, 4, 5
 
+# Colours of a frame
+APPLE, STALK, LEAF = (200, 45, 50), (110, 75, 45), (85, 140, 60)
+AMBER, GREEN = (255, 185, 40), (60, 165, 85)  # loading without and with success
+
 
 class State(NamedTuple):
     """One game per entry of the leading axis."""
 
     random: NDArray[np.uint64]  # [env] the generator's state
     steps: NDArray[np.int64]  # [env]
+    score: NDArray[np.float64]  # [env] the team's return so far
     agent: NDArray[np.int64]  # [env, agent, (row, column, level)]
     target: NDArray[np.int64]  # [env, agent, (row, column)] where the agent wants to be after this step
     loading: NDArray[np.int64]  # [env, agent] the food that it loads in this step; -1: none
@@ -77,6 +83,7 @@ def reset_env(state, config, e):
     agent, food, random = state.agent, state.food, state.random
     n_agents, n_foods = agent.shape[1], food.shape[1]
     state.steps[e] = 0
+    state.score[e] = 0
 
     margin = 1 if config.version == 1 else 0
     level_one = 0
@@ -178,6 +185,7 @@ def step_env(state, config, e, actions):
         food[e, f, 2] = 0
         state.food_left[e] -= 1
     state.rewards[e] = team_reward
+    state.score[e] += team_reward
 
     state.terminated[e] = state.food_left[e] == 0
     state.truncated[e] = state.food_left[e] > 0 and state.steps[e] == EPISODE_LIMIT
@@ -227,13 +235,13 @@ def observe_env(state, config, e):
 
 @compiled
 def reset_all(
-    random, steps, agent, target, loading, food, food_left, food_total,
+    random, steps, score, agent, target, loading, food, food_left, food_total,
     observations, agent_rewards, rewards, terminated, truncated,
     rows, columns, sight, cooperative, version,
     mask, seed, episodes,
 ):  # fmt: skip
     state = State(
-        random, steps, agent, target, loading, food, food_left, food_total,
+        random, steps, score, agent, target, loading, food, food_left, food_total,
         observations, agent_rewards, rewards, terminated, truncated,
     )  # fmt: skip
     config = Config(rows, columns, sight, cooperative, version)
@@ -246,7 +254,7 @@ def reset_all(
 
 @compiled
 def step_all(
-    random, steps, agent, target, loading, food, food_left, food_total,
+    random, steps, score, agent, target, loading, food, food_left, food_total,
     observations, agent_rewards, rewards, terminated, truncated,
     rows, columns, sight, cooperative, version,
     action_mask, actions,
@@ -255,7 +263,7 @@ def step_all(
     if refused >= 0:
         return refused
     state = State(
-        random, steps, agent, target, loading, food, food_left, food_total,
+        random, steps, score, agent, target, loading, food, food_left, food_total,
         observations, agent_rewards, rewards, terminated, truncated,
     )  # fmt: skip
     config = Config(rows, columns, sight, cooperative, version)
@@ -271,6 +279,8 @@ def step_all(
 
 class Env(vector.VectorEnv):
     """Level-Based Foraging; see the module's docstring."""
+
+    can_draw = True
 
     def __init__(
         self,
@@ -303,6 +313,7 @@ class Env(vector.VectorEnv):
         self.game = State(
             random=np.zeros(num_envs, np.uint64),
             steps=np.zeros(num_envs, np.int64),
+            score=np.zeros(num_envs),
             agent=np.zeros((num_envs, n_agents, 3), np.int64),
             target=np.zeros((num_envs, n_agents, 2), np.int64),
             loading=np.zeros((num_envs, n_agents), np.int64),
@@ -326,3 +337,58 @@ class Env(vector.VectorEnv):
     def step_envs(self, actions: NDArray[np.int64]) -> int:
         """See `VectorEnv`."""
         return step_all(*self._step_arguments, actions)
+
+    def frame(self, index: int = 0) -> NDArray[np.uint8]:
+        """The board of one sub-environment: agents by number and colour, levels in the small discs, foods as apples.
+
+        A band joins an agent to the food that it loads: amber where the levels do not suffice, green where the food,
+        drawn hollow, has been collected in this step.
+        """
+        from envs import render  # Pillow is needed only where something is drawn
+
+        rows, columns = self.config.rows, self.config.columns
+        cell = min(max(600 // max(rows, columns), 34), 64)
+        margin, caption = 10, 34
+        width, height = columns * cell + 2 * margin, rows * cell + margin + caption
+        agents, foods, loading = self.game.agent[index], self.game.food[index], self.game.loading[index]
+        canvas = render.Canvas(width, height)
+        canvas.text(margin, caption / 2, f"step {self.game.steps[index]} / {EPISODE_LIMIT}", 15, anchor="lm")
+        canvas.text(width - margin, caption / 2, f"return {self.game.score[index]:.2f}", 15, anchor="rm")
+        for row in range(rows + 1):
+            down = caption + row * cell
+            canvas.line(margin, down, width - margin, down, render.LINES)
+        for column in range(columns + 1):
+            across = margin + column * cell
+            canvas.line(across, caption, across, height - margin, render.LINES)
+
+        def centre(place: NDArray[np.int64]) -> tuple[float, float]:
+            return margin + (place[1] + 0.5) * cell, caption + (place[0] + 0.5) * cell
+
+        for loader in np.flatnonzero(loading >= 0):
+            food = foods[loading[loader]]
+            colour = AMBER if food[2] > 0 else GREEN
+            canvas.line(*centre(agents[loader]), *centre(food), colour, 0.36 * cell)
+            canvas.square(*centre(agents[loader]), 0.5 * cell, colour)
+        for f, food in enumerate(foods):
+            x, y = centre(food)
+            if food[2] > 0:
+                canvas.line(x, y - 0.2 * cell, x + 0.05 * cell, y - 0.45 * cell, STALK, 0.07 * cell)
+                canvas.circle(x + 0.13 * cell, y - 0.37 * cell, 0.09 * cell, LEAF)
+                canvas.circle(x, y + 0.04 * cell, 0.37 * cell, APPLE)
+                canvas.text(x, y + 0.04 * cell, str(food[2]), 0.52 * cell, render.WHITE)
+            elif f in loading:
+                canvas.circle(x, y, 0.34 * cell, render.PAPER, GREEN, 0.08 * cell)
+        for i, agent in enumerate(agents):
+            here = np.flatnonzero((agents[:, :2] == agent[:2]).all(axis=1))
+            x, y = centre(agent)
+            half = 0.41 * cell
+            if len(here) > 1:  # agents on one cell stand smaller, along a diagonal
+                half = 0.3 * cell
+                shift = (np.flatnonzero(here == i)[0] / (len(here) - 1) - 0.5) * 0.4 * cell
+                x, y = x + shift, y - shift
+            colour = render.AGENTS[i % len(render.AGENTS)]
+            canvas.square(x, y, half, colour, render.WHITE, 0.03 * cell)
+            canvas.text(x - 0.28 * half, y - 0.22 * half, str(i), 1.35 * half, render.WHITE)
+            canvas.circle(x + 0.52 * half, y + 0.52 * half, 0.52 * half, render.WHITE, colour, 0.06 * half)
+            canvas.text(x + 0.52 * half, y + 0.52 * half, str(agent[2]), 0.9 * half)
+        return canvas.frame()

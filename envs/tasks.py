@@ -97,11 +97,13 @@ def parse_lbf(name: str) -> Task | None:
         raise TaskError(f"{name}: foods lie off the border, so a board has at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:
         raise TaskError(f"{name}: {n_agents} agents may leave no cell off the border free for a food.")
-    room = room_for_foods(rows, columns, n_foods)
+    if max(rows, columns) > 2**24:
+        raise TaskError(f"{name}: a side is longer than 2^24, up to which 32-bit observations are exact.")
+    room = max(room_for_foods(rows, columns, n_foods), room_for_foods(columns, rows, n_foods))
     if room < n_foods:
         raise TaskError(
-            f"{name}: foods lie off the border and at least three steps apart, so a {rows}x{columns} board has room "
-            f"for {room}, not {n_foods}."
+            f"{name}: foods lie off the border and at least three steps apart; a {rows}x{columns} board is played with "
+            f"up to {room}, not {n_foods}."
         )
     settings = {
         "rows": rows,
@@ -116,15 +118,22 @@ def parse_lbf(name: str) -> Task | None:
 
 
 def room_for_foods(rows: int, columns: int, wanted: int) -> int:
-    """How many foods, up to the number wanted, fit on a board when each is put on the first cell that is still free."""
-    placed: list[tuple[int, int]] = []
+    """How many foods, up to the number wanted, go on a board when each takes the first cell that is still free.
+
+    Now and then a cleverer arrangement holds a few more (27 against 29 on 14x14), but foods placed at random never
+    come near that many.
+    """
+    placed = 0
+    taken: set[tuple[int, int]] = set()  # within two steps of a food
     for row in range(1, rows - 1):
         for column in range(1, columns - 1):
-            if len(placed) == wanted:
-                return wanted
-            if all(abs(row - r) + abs(column - c) > 2 for r, c in placed):
-                placed.append((row, column))
-    return len(placed)
+            if placed == wanted:
+                return placed
+            if (row, column) not in taken:
+                placed += 1
+                for down in range(3):  # what lies above has been passed
+                    taken.update((row + down, column + across) for across in range(down - 2, 3 - down))
+    return placed
 
 
 PARSERS = (parse_matrix, parse_lbf)

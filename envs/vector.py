@@ -38,7 +38,7 @@ class VectorEnv(GymnasiumVectorEnv):
     seed: the seed now in use. episode: the number of episodes begun, all that a checkpoint must keep.
     """
 
-    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 (typed like this by Gymnasium)
     can_draw = False
 
     def __init__(
@@ -77,11 +77,13 @@ class VectorEnv(GymnasiumVectorEnv):
         self.action_mask = np.ones((num_envs, n_agents, n_actions), np.bool_)
         self.state_is_observations = state_size is None
         self.state = (
-            self.observations.reshape(num_envs, -1) if state_size is None else np.zeros((num_envs, state_size), np.float32)
+            self.observations.reshape(num_envs, -1)
+            if state_size is None
+            else np.zeros((num_envs, state_size), np.float32)
         )
-        self.reported: dict[str, NDArray[Any]] = {}  # what a family adds to info
-
-        self._info: Info = {}
+        self.info: Info = {"agent_rewards": self.agent_rewards, "state": self.state, "action_mask": self.action_mask}
+        self._info_keys = frozenset(self.info)
+        self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
         self._episodes = np.zeros(num_envs, np.int64)  # episodes begun, per sub-environment
         self._shape = (num_envs, n_agents)
         self._begun = np.zeros(num_envs, np.bool_)
@@ -118,7 +120,9 @@ class VectorEnv(GymnasiumVectorEnv):
         self.seed = int(seed)
         self._seed = np.uint64(seed)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], Info]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Info]:
         """Begin an episode in all sub-environments, or in those of options["reset_mask"].
 
         A full reset begins the same episode, number `env.episode`, everywhere. A seed starts again at its episode 0.
@@ -142,18 +146,10 @@ class VectorEnv(GymnasiumVectorEnv):
         if not self._ready:
             self._begun |= mask
             self._ready = bool(self._begun.all())
-            self._info = {
-                "agent_rewards": self.agent_rewards,
-                "state": self.state,
-                "action_mask": self.action_mask,
-                **self.reported,
-            }
-            self._own_keys = frozenset(self._info)
-            self._result = (self.observations, self.rewards, self.terminated, self.truncated, self._info)
         observations, *_, info = self._outcome()
         return observations, info
 
-    def step(  # type: ignore[override]
+    def step(
         self, actions: Any
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Let every agent act: actions are integers [num_envs, n_agents].
@@ -178,12 +174,12 @@ class VectorEnv(GymnasiumVectorEnv):
     def _outcome(self) -> tuple[Any, Any, Any, Any, Info]:
         """The five results of a step: the arrays themselves, or copies of them that the caller may keep."""
         if not self.copy:
-            if len(self._info) != len(self._own_keys):  # a wrapper has added its own entries to the shared dictionary
-                for key in self._info.keys() - self._own_keys:
-                    del self._info[key]
+            if len(self.info) != len(self._info_keys):  # a wrapper has put its own entries into the shared dictionary
+                for key in self.info.keys() - self._info_keys:
+                    del self.info[key]
             return self._result
         observations = self.observations.copy()
-        info = {key: value.copy() for key, value in self._info.items() if key != "state"}
+        info = {key: value.copy() for key, value in self.info.items() if key != "state"}
         info["state"] = observations.reshape(self.state.shape) if self.state_is_observations else self.state.copy()
         return observations, self.rewards.copy(), self.terminated.copy(), self.truncated.copy(), info
 

@@ -1,0 +1,106 @@
+"""Pictures: a canvas to draw frames on, and films made of frames.
+
+Importing this module imports Pillow, so it is done where something is drawn.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+Colour = tuple[int, int, int]
+
+PAPER: Colour = (250, 249, 246)
+LINES: Colour = (221, 218, 210)
+INK: Colour = (48, 50, 56)
+WHITE: Colour = (255, 255, 255)
+AGENTS: tuple[Colour, ...] = (  # dark enough for white text, also told apart by the colour-blind in the first places
+    (31, 105, 180),
+    (204, 102, 0),
+    (120, 70, 160),
+    (0, 133, 121),
+    (190, 55, 120),
+    (110, 85, 60),
+    (80, 90, 105),
+    (150, 130, 0),
+)
+DETAIL = 4  # drawn this many times larger and then reduced, so edges are smooth
+
+
+@lru_cache
+def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font: there on every machine."""
+    return ImageFont.load_default(size * DETAIL)
+
+
+class Canvas:
+    """A picture of width x height pixels; coordinates are pixels, fractions welcome, from the top left corner."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.size = (width, height)
+        self.image = Image.new("RGB", (width * DETAIL, height * DETAIL), PAPER)
+        self.pen = ImageDraw.Draw(self.image)
+
+    def line(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, width: float = 1) -> None:
+        """A straight line."""
+        ends = [x0 * DETAIL, y0 * DETAIL, x1 * DETAIL, y1 * DETAIL]
+        self.pen.line(ends, fill=colour, width=max(1, round(width * DETAIL)))
+
+    def circle(
+        self,
+        x: float,
+        y: float,
+        radius: float,
+        fill: Colour | None = None,
+        edge: Colour | None = None,
+        width: float = 1,
+    ) -> None:
+        """A circle around (x, y), filled, with an edge, or both."""
+        box = [(x - radius) * DETAIL, (y - radius) * DETAIL, (x + radius) * DETAIL, (y + radius) * DETAIL]
+        self.pen.ellipse(box, fill=fill, outline=edge, width=max(1, round(width * DETAIL)))
+
+    def square(
+        self, x: float, y: float, half: float, fill: Colour | None = None, edge: Colour | None = None, width: float = 1
+    ) -> None:
+        """A square with round corners around (x, y), half a side to each direction."""
+        box = [(x - half) * DETAIL, (y - half) * DETAIL, (x + half) * DETAIL, (y + half) * DETAIL]
+        self.pen.rounded_rectangle(
+            box, 0.45 * half * DETAIL, fill=fill, outline=edge, width=max(1, round(width * DETAIL))
+        )
+
+    def text(self, x: float, y: float, text: str, size: float, colour: Colour = INK, anchor: str = "mm") -> None:
+        """Text of a height in pixels; anchor: Pillow's, "mm" the middle, "lm" the left end, "rm" the right end."""
+        weight = 0.025 * size * DETAIL  # Pillow's own font is thin
+        where = (x * DETAIL, y * DETAIL)
+        self.pen.text(where, text, fill=colour, font=font(size), anchor=anchor, stroke_width=weight)
+
+    def frame(self) -> NDArray[np.uint8]:
+        """The picture, uint8 [height, width, 3]."""
+        return np.asarray(self.image.resize(self.size, Image.Resampling.BOX))
+
+
+def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str], frames_per_second: float = 5) -> None:
+    """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
+
+    The last frame stays for a second, so that the end is seen before the film starts again.
+    Raises ValueError where there is no frame or the sizes differ.
+    """
+    images = [Image.fromarray(frame) for frame in frames]
+    if not images:
+        raise ValueError("a film needs at least one frame.")
+    if any(image.size != images[0].size for image in images):
+        raise ValueError("the frames of a film must be of one size.")
+    # One palette for the whole film, taken from frames all over it, and no dithering: flat colours do not flicker.
+    sample = images[:: max(1, len(images) // 8)]
+    strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
+    for i, image in enumerate(sample):
+        strip.paste(image, (0, i * image.height))
+    palette = strip.quantize(256, dither=Image.Dither.NONE)
+    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    duration = [round(1000 / frames_per_second)] * (len(images) - 1) + [1000]
+    images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
