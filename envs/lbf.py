@@ -347,7 +347,7 @@ class Env(vector.VectorEnv):
         from envs import render  # Pillow is needed only where something is drawn
 
         rows, columns = self.config.rows, self.config.columns
-        cell = min(max(600 // max(rows, columns), 34), 64)
+        cell = min(max(680 // max(rows, columns), 12), 64)
         margin, caption = 10, 34
         width, height = columns * cell + 2 * margin, rows * cell + margin + caption
         agents, foods, loading = self.game.agent[index], self.game.food[index], self.game.loading[index]

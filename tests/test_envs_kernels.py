@@ -1,0 +1,130 @@
+"""The random generator, the compiler's cache, and the rules without the compiler."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import envs
+from envs.kernels import episode_state, mix, random_below
+
+PACKAGE = Path(envs.__file__).parent
+
+
+def test_splitmix64_gives_the_published_numbers() -> None:
+    """The first outputs for seed 1234567, as in the reference implementation's test vectors."""
+    state, outputs = 1234567, []
+    for _ in range(3):
+        state = (state + 0x9E3779B97F4A7C15) % 2**64
+        outputs.append(int(mix(np.uint64(state))))
+    assert outputs == [6457827717110365317, 3203168211198807973, 9817491932198370423]
+
+
+@pytest.mark.parametrize("bound", [1, 2, 5, 13, 100])
+def test_integers_are_uniform(bound: int) -> None:
+    random = np.zeros(1, np.uint64)
+    random[0] = episode_state(np.uint64(1), 2, 3)
+    number = 200_000
+    drawn = np.array([random_below(random, 0, bound) for _ in range(number)])
+    counts = np.bincount(drawn, minlength=bound)
+    assert len(counts) == bound
+    statistic = ((counts - number / bound) ** 2 / (number / bound)).sum()
+    assert abs(statistic - (bound - 1)) <= 5 * np.sqrt(2 * (bound - 1))
+    if bound > 1:  # no memory: neighbours in the stream are uncorrelated
+        assert abs(np.corrcoef(drawn[:-1], drawn[1:])[0, 1]) < 5 / np.sqrt(number)
+
+
+def test_episodes_start_at_states_of_their_own() -> None:
+    states = {
+        int(episode_state(np.uint64(seed), index, episode))
+        for seed in (0, 1, 2, 2**63)
+        for index in range(30)
+        for episode in range(30)
+    }
+    assert len(states) == 4 * 30 * 30
+
+
+def run(code: str, folder: Path, **environment: str) -> str:
+    """What a fresh process prints that imports the package from that folder."""
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(
+        command, cwd=folder, env={**inherited, "PYTHONPATH": str(folder), **environment}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+STEP = """
+import numpy as np, envs
+env = envs.make("matrix-climbing", 1)
+env.reset()
+try:
+    print("reward", *env.step([[1, 1]])[1])
+except ValueError as error:
+    print("refused", error)
+"""
+
+
+def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
+    """Also where the file of the compiled loop that calls it stays the same."""
+    shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
+    home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path / "cache")}
+    assert run(STEP, tmp_path, **home) == "reward 7.0\n"
+    assert run(STEP, tmp_path, **home) == "reward 7.0\n"
+    compiled = list(tmp_path.rglob("matrix.step_all*.nbc"))
+    assert len(compiled) == 1
+    kernels = tmp_path / "envs" / "kernels.py"
+    text = kernels.read_text()
+    assert text.count("if action < 0 or") == 1
+    kernels.write_text(text.replace("if action < 0 or", "if action == 1 or action < 0 or"))
+    assert run(STEP, tmp_path, **home).startswith("refused")
+    kernels.write_text(text)
+    assert run(STEP, tmp_path, **home) == "reward 7.0\n"
+    assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 2
+
+
+def test_the_users_own_cache_folder_is_respected(tmp_path: Path) -> None:
+    run(STEP, PACKAGE.parent, NUMBA_CACHE_DIR=str(tmp_path / "own"), XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert list((tmp_path / "own").rglob("matrix.step_all*.nbc"))
+    assert not (tmp_path / "cache" / "marl-baselines").exists() or not list((tmp_path / "cache").rglob("*.nbc"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a folder that nobody can write, not even root")
+def test_a_home_that_cannot_be_written() -> None:
+    assert run(STEP, PACKAGE.parent, XDG_CACHE_HOME="/proc/none", HOME="/proc/none") == "reward 7.0\n"
+
+
+START_AND_STEPS = """
+import numpy as np, envs
+env = envs.make("lbf-6x7-3p-2f-2s", 4, seed=9)
+total = env.reset()[0].astype(int).tolist()
+actions = np.random.default_rng(0).integers(0, 6, (60, 4, 3))
+for t in range(60):
+    observations, rewards, terminated, truncated, info = env.step(actions[t])
+    total.append((observations.sum(), rewards.tolist(), terminated.tolist(), truncated.tolist()))
+    if (terminated | truncated).any():
+        env.reset(options={"reset_mask": terminated | truncated})
+print(total)
+try:
+    env.step([[0, 0, 0]] * 3 + [[0, 6, 0]])
+except ValueError as error:
+    print(error)
+"""
+
+
+def test_the_rules_are_the_same_without_the_compiler() -> None:
+    plain = run(START_AND_STEPS, PACKAGE.parent, NUMBA_DISABLE_JIT="1")
+    assert "sub-environment 3, agent 1: action 6 does not exist" in plain
+    assert plain == run(START_AND_STEPS, PACKAGE.parent)
+
+
+def test_importing_envs_imports_neither_numba_nor_pillow() -> None:
+    code = "import sys, envs; envs.task_names(); print(*({'numba', 'PIL', 'matplotlib', 'torch'} & set(sys.modules)))"
+    assert run(code, PACKAGE.parent) == "\n"

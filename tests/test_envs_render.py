@@ -1,0 +1,88 @@
+"""Frames and films."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import envs
+from envs.render import save_film
+
+
+def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """How many pixels have that colour."""
+    return int((np.abs(frame.astype(int) - colour).max(axis=2) < 3).sum())
+
+
+@pytest.mark.parametrize("name", ["lbf-5x5-2p-1f", "lbf-6x9-3p-2f-2s", "lbf-20x20-9p-5f-c-v3", "lbf-100x100-2p-1f"])
+def test_frames_of_an_episode(name: str) -> None:
+    env = envs.make(name, 2, seed=1)
+    env.reset()
+    assert env.can_draw
+    frames = [env.frame(index=1)]
+    for _ in range(6):
+        env.step(np.random.default_rng(0).integers(0, 6, (2, env.n_agents)))
+        frames.append(env.frame(index=1))
+    assert {(frame.dtype, frame.shape) for frame in frames} == {(np.dtype(np.uint8), frames[0].shape)}
+    assert frames[0].ndim == 3 and frames[0].shape[2] == 3
+    assert (frames[0] != frames[1]).any() and (frames[0] != env.frame(index=0)).any()
+
+
+def test_who_loads_is_seen() -> None:
+    from envs import lbf
+
+    env = envs.make("lbf-6x6-2p-2f")
+    assert isinstance(env, lbf.Env)
+    env.reset()
+    env.game.agent[0] = [(1, 1, 1), (1, 3, 2)]
+    env.game.food[0] = [(1, 2, 3), (4, 4, 1)]
+    assert near(env.frame(0), lbf.AMBER) == near(env.frame(0), lbf.GREEN) == 0
+    apples = near(env.frame(0), lbf.APPLE)
+    env.step([[5, 0]])
+    assert near(env.frame(0), lbf.AMBER) > 300 and near(env.frame(0), lbf.GREEN) == 0
+    env.step([[5, 5]])
+    assert near(env.frame(0), lbf.GREEN) > 600 and near(env.frame(0), lbf.AMBER) == 0
+    assert near(env.frame(0), lbf.APPLE) < 0.7 * apples
+    env.step([[0, 0]])
+    assert near(env.frame(0), lbf.GREEN) == 0
+
+
+def test_agents_on_one_cell_are_both_seen() -> None:
+    from envs import lbf, render
+
+    env = envs.make("lbf-6x6-2p-1f")
+    assert isinstance(env, lbf.Env)
+    env.reset()
+    env.game.agent[0] = [(1, 1, 1), (1, 1, 2)]
+    frame = env.frame(0)
+    assert near(frame, render.AGENTS[0]) > 100 and near(frame, render.AGENTS[1]) > 100
+
+
+def test_films(tmp_path: Path) -> None:
+    env = envs.make("lbf-8x8-2p-2f-c", seed=1)
+    env.reset()
+    frames = [env.frame(0)]
+    for t in range(12):
+        env.step(np.full((1, 2), 1 + t % 2))
+        frames.append(env.frame(0))
+    save_film(frames, tmp_path / "film.gif", frames_per_second=4)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert (film.format, film.n_frames, film.size) == ("GIF", 13, frames[0].shape[1::-1])  # type: ignore[attr-defined]
+        assert film.info["loop"] == 0
+        durations = []
+        for i, frame in enumerate(frames):
+            film.seek(i)
+            durations.append(film.info["duration"])
+            shown = np.asarray(film.convert("RGB")).astype(int)
+            assert np.abs(shown - frame).mean() < 2
+        assert durations == [250] * 12 + [1000]
+
+
+def test_films_that_cannot_be_made(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one frame"):
+        save_film([], tmp_path / "film.gif")
+    with pytest.raises(ValueError, match="one size"):
+        save_film([np.zeros((4, 4, 3), np.uint8), np.zeros((4, 5, 3), np.uint8)], tmp_path / "film.gif")

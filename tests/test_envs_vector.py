@@ -1,0 +1,365 @@
+"""The contract of an environment, for every family and for a small one of these tests' own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from numpy.typing import NDArray
+
+import envs
+
+TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3")
+
+
+class Counting(envs.VectorEnv):
+    """Two agents count the steps; agent 1 may take action 2 only in even steps; the state is the number of steps.
+
+    Sub-environment i ends truly in its step i + 2.
+    """
+
+    def __init__(self, num_envs: int = 3, copy: bool = True) -> None:
+        super().__init__(
+            "counting",
+            num_envs,
+            0,
+            copy,
+            n_agents=2,
+            n_actions=3,
+            obs_size=1,
+            episode_limit=99,
+            low=0,
+            high=99,
+            state_size=1,
+        )
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        self.observations[mask] = 0
+        self.state[mask] = 0
+        self.action_mask[mask, 1, 2] = True
+
+    def step_envs(self, actions: NDArray[np.int64]) -> int:
+        within = (actions >= 0) & (actions < 3)
+        fine = within & np.take_along_axis(self.action_mask, actions.clip(0, 2)[:, :, None], 2)[:, :, 0]
+        if not fine.all():
+            return int(np.argmin(fine))
+        going = ~(self.terminated | self.truncated)
+        self.state[going] += 1
+        self.observations[:] = self.state[:, None]
+        self.action_mask[:, 1, 2] = self.state[:, 0] % 2 == 0
+        self.rewards[:] = going
+        self.agent_rewards[:] = going[:, None]
+        self.terminated |= self.state[:, 0] == np.arange(self.num_envs) + 2
+        return -1
+
+
+def play(env: envs.VectorEnv, steps: int, seed: int = 0) -> list[Any]:
+    """The observations of so many steps of random actions, which depend on the seed and the sub-environment alone."""
+    actions = [np.random.default_rng([seed, i]).integers(0, 3, (steps, env.n_agents)) for i in range(env.num_envs)]
+    return [env.step(np.stack([sub[t] for sub in actions]))[0].copy() for t in range(steps)]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_shapes_kinds_and_spaces(name: str) -> None:
+    env = envs.make(name, 4, seed=3)
+    assert isinstance(env, GymnasiumVectorEnv) and isinstance(env, envs.VectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.DISABLED
+    assert (env.name, env.num_envs, env.seed, env.episode) == (name, 4, 3, 0)
+    agents, size = env.n_agents, env.obs_size
+    observations, info = env.reset()
+    for step in range(env.episode_limit):
+        assert observations.shape == (4, agents, size) and observations.dtype == np.float32
+        assert env.observation_space.contains(observations)
+        assert env.single_observation_space.contains(observations[0])
+        assert info.keys() == {"agent_rewards", "state", "action_mask"}
+        assert info["agent_rewards"].shape == (4, agents) and info["agent_rewards"].dtype == np.float32
+        assert info["state"].shape == (4, env.state_size) and info["state"].dtype == np.float32
+        assert np.shares_memory(info["state"], observations)
+        np.testing.assert_array_equal(info["state"], observations.reshape(4, -1))
+        assert info["action_mask"].shape == (4, agents, env.n_actions) and info["action_mask"].dtype == np.bool_
+        assert info["action_mask"].any(axis=2).all()
+        env.action_space.seed(step)
+        actions = env.action_space.sample()
+        assert actions.shape == (4, agents) and env.single_action_space.contains(actions[0])
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        assert rewards.shape == (4,) and rewards.dtype == np.float32
+        assert terminated.shape == truncated.shape == (4,) and terminated.dtype == truncated.dtype == np.bool_
+        assert not (terminated & truncated).any()
+    assert (terminated | truncated).all()
+    env.close()
+
+
+def test_a_state_of_its_own() -> None:
+    env = Counting()
+    _, info = env.reset()
+    assert env.state_size == 1
+    observations, *_, info = env.step(np.zeros((3, 2), int))
+    assert info["state"].tolist() == [[1]] * 3
+    assert not np.shares_memory(info["state"], observations)
+    env.step(np.zeros((3, 2), int))
+    assert info["state"].tolist() == [[1]] * 3  # a copy
+
+
+# --- Randomness --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TASKS[1:])
+def test_an_episode_depends_on_seed_index_and_number_alone(name: str) -> None:
+    few, many = envs.make(name, 2, seed=5), envs.make(name, 7, seed=5)
+    seen = []
+    for k in range(4):
+        a, b = few.reset()[0], many.reset()[0]
+        np.testing.assert_array_equal(a, b[:2])
+        np.testing.assert_array_equal(np.array(play(few, 9)), np.array(play(many, 9))[:, :2])
+        seen += [tuple(start.ravel()) for start in b]
+        again = envs.make(name, 3, seed=5)
+        again.episode = k
+        np.testing.assert_array_equal(again.reset()[0], b[:3])
+    assert len(set(seen)) == 28
+    assert (envs.make(name, 2, seed=6).reset()[0] != envs.make(name, 2, seed=5).reset()[0]).any()
+
+
+@pytest.mark.parametrize("name", TASKS[1:])
+def test_restoring_the_episode_number(name: str) -> None:
+    env = envs.make(name, 3, seed=1)
+    for _ in range(3):
+        env.reset()
+        play(env, 5)
+    assert env.episode == 3
+    for mask in ([True, False, False], [True, False, True]):
+        env.reset(options={"reset_mask": np.array(mask)})
+    assert env.episode == 5  # sub-environment 0 has begun five, the others three and four
+    restored = envs.make(name, 3, seed=1)
+    restored.episode = env.episode
+    for _ in range(2):
+        np.testing.assert_array_equal(env.reset()[0], restored.reset()[0])
+        np.testing.assert_array_equal(play(env, 5), play(restored, 5))
+    assert env.episode == restored.episode == 7
+
+
+def test_a_seed_starts_again() -> None:
+    env = envs.make(TASKS[1], 3, seed=1)
+    first = [env.reset()[0] for _ in range(3)]
+    other, _ = env.reset(seed=2)
+    assert (env.seed, env.episode) == (2, 1) and (other != first[0]).any()
+    np.testing.assert_array_equal(env.reset(seed=1)[0], first[0])
+    np.testing.assert_array_equal(env.reset()[0], first[1])
+    np.testing.assert_array_equal(envs.make(TASKS[1], 3, seed=2).reset()[0], other)
+
+
+@pytest.mark.parametrize("seed", [0, 2**63, 2**64 - 1])
+def test_seeds_of_64_bits(seed: int) -> None:
+    env = envs.make(TASKS[1], 2, seed=seed)
+    np.testing.assert_array_equal(env.reset()[0], envs.make(TASKS[1], 2).reset(seed=seed)[0])
+
+
+def test_sizes_out_of_range() -> None:
+    for seed in (-1, 2**64):
+        with pytest.raises(ValueError, match=r"seed is .* between 0 and 2\^64 - 1"):
+            envs.make(TASKS[0], seed=seed)
+    with pytest.raises(ValueError, match="num_envs is 0"):
+        envs.make(TASKS[0], num_envs=0)
+
+
+# --- Resets and ends ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("copy", [True, False])
+def test_the_finished_stand_still(name: str, copy: bool) -> None:
+    env = envs.make(name, 3, copy=copy)
+    env.reset()
+    play(env, env.episode_limit)
+    last, flags = env.observations.copy(), (env.terminated.copy(), env.truncated.copy())
+    assert (flags[0] | flags[1]).all()
+    env.reset(options={"reset_mask": np.array([False, True, False])})
+    fresh = env.observations[1].copy()
+    assert (env.terminated | env.truncated).tolist() == [True, False, True]
+    for _ in range(3):
+        observations, rewards, terminated, truncated, info = env.step(np.full((3, env.n_agents), 2))
+        np.testing.assert_array_equal(observations[[0, 2]], last[[0, 2]])
+        assert (rewards[[0, 2]] == 0).all() and (info["agent_rewards"][[0, 2]] == 0).all()
+        np.testing.assert_array_equal(terminated[[0, 2]], flags[0][[0, 2]])
+        np.testing.assert_array_equal(truncated[[0, 2]], flags[1][[0, 2]])
+        assert not terminated[1] and not truncated[1]
+    if name != "matrix-climbing":
+        assert (env.observations[1] != fresh).any()
+
+
+def test_a_masked_reset_leaves_the_others_alone() -> None:
+    env = envs.make(TASKS[1], 3, seed=4)
+    untouched = envs.make(TASKS[1], 3, seed=4)
+    env.reset(), untouched.reset()
+    play(env, 6), play(untouched, 6)
+    options = {"reset_mask": np.array([False, True, False])}
+    observations, _ = env.reset(options=options)
+    assert options.keys() == {"reset_mask"}  # wrappers read it afterwards
+    np.testing.assert_array_equal(observations[[0, 2]], untouched.observations[[0, 2]])
+    np.testing.assert_array_equal(play(env, 6, 1)[-1][[0, 2]], play(untouched, 6, 1)[-1][[0, 2]])
+
+
+@pytest.mark.parametrize(
+    ("mask", "error", "message"),
+    [
+        ([True, False], TypeError, "NumPy array of booleans"),
+        (np.array([1, 0]), TypeError, "NumPy array of booleans"),
+        (np.array([True]), ValueError, "shape"),
+        (np.array([False, False]), ValueError, "names no sub-environment"),
+    ],
+)
+def test_wrong_masks(mask: Any, error: type[Exception], message: str) -> None:
+    env = envs.make(TASKS[0], 2)
+    with pytest.raises(error, match=message):
+        env.reset(options={"reset_mask": mask})
+    assert env.episode == 0
+
+
+def test_stepping_before_a_reset() -> None:
+    env = envs.make(TASKS[1], 2)
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step([[0, 0], [0, 0]])
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ResetNeeded, match="every sub-environment"):
+        env.step([[0, 0], [0, 0]])
+    env.reset(options={"reset_mask": np.array([False, True])})
+    env.step([[0, 0], [0, 0]])
+
+
+@pytest.mark.parametrize("name", ["lbf-6x6-2p-2f", "matrix-penalty-25"])
+@pytest.mark.parametrize("copy", [True, False])
+def test_gymnasium_counts_episodes_right(name: str, copy: bool) -> None:
+    """RecordEpisodeStatistics, which also writes into the info that a step returns."""
+    env = envs.make(name, 5, seed=2, copy=copy)
+    recording = RecordEpisodeStatistics(env, buffer_length=10_000)
+    rng = np.random.default_rng(0)
+    recording.reset()
+    returns, lengths = np.zeros(5), np.zeros(5, int)
+    expected: list[tuple[float, int]] = []
+    for _ in range(400):
+        actions = rng.integers(0, env.n_actions, (5, env.n_agents))
+        _, rewards, terminated, truncated, info = recording.step(actions)
+        returns += rewards
+        lengths += 1
+        done = terminated | truncated
+        assert ("episode" in info) == done.any()
+        if done.any():
+            np.testing.assert_allclose(info["episode"]["r"][done], returns[done])
+            np.testing.assert_array_equal(info["episode"]["l"][done], lengths[done])
+            expected += list(zip(returns[done], lengths[done].tolist(), strict=True))
+            recording.reset(options={"reset_mask": done.copy()})
+            returns[done], lengths[done] = 0, 0
+    assert recording.episode_count == len(expected) >= 40
+    np.testing.assert_allclose(recording.return_queue, [r for r, _ in expected])
+    assert list(recording.length_queue) == [length for _, length in expected]
+
+
+# --- Copies ------------------------------------------------------------------------------------------------------
+
+
+def arrays(outcome: tuple[Any, ...]) -> list[NDArray[Any]]:
+    return [*outcome[:-1], *outcome[-1].values()]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_copies_are_the_callers(name: str) -> None:
+    env = envs.make(name, 3, copy=True)
+    outcomes: list[tuple[Any, ...]] = [env.reset()]
+    kept = [[array.copy() for array in arrays(outcomes[0])]]
+    for t in range(60):
+        outcomes.append(env.step(np.full((3, env.n_agents), t % 3)))
+        kept.append([array.copy() for array in arrays(outcomes[-1])])
+    for outcome, then in zip(outcomes, kept, strict=True):
+        for array, copied in zip(arrays(outcome), then, strict=True):
+            np.testing.assert_array_equal(array, copied)
+    for array in arrays(outcomes[1]):
+        assert not any(np.shares_memory(array, other) for other in arrays(outcomes[2]))
+    twin = envs.make(name, 3, copy=True)
+    env.reset(seed=1), twin.reset(seed=1)
+    for array in arrays(env.step(np.zeros((3, env.n_agents), int))):
+        array.fill(True)  # what the caller does with them changes nothing
+    twin.step(np.zeros((3, env.n_agents), int))
+    np.testing.assert_array_equal(play(env, 5), play(twin, 5))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_without_copies_the_same_arrays_return(name: str) -> None:
+    env, copying = envs.make(name, 3, copy=False), envs.make(name, 3, copy=True)
+    first, info = env.reset()
+    copying.reset()
+    outcome = env.step(np.zeros((3, env.n_agents), int))
+    copying.step(np.zeros((3, env.n_agents), int))
+    assert outcome[0] is first and outcome[-1] is info
+    for t in range(60):
+        actions = np.full((3, env.n_agents), t % 3)
+        again, copied = env.step(actions), copying.step(actions)
+        assert again is outcome
+        assert all(a is b for a, b in zip(arrays(again), arrays(outcome), strict=True))
+        for a, b in zip(again[:-1], copied[:-1], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert all((again[-1][key] == copied[-1][key]).all() for key in copied[-1])
+
+
+# --- Actions -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_actions_of_any_integer_kind(name: str) -> None:
+    env = envs.make(name, 2, seed=8)
+    expected = None
+    actions = np.array([[1, 2, 0], [0, 1, 2]])[:, : env.n_agents]
+    kinds = [actions, actions.astype(np.int32), actions.astype(np.uint8), actions.tolist(), np.asfortranarray(actions)]
+    for kind in [*kinds, np.repeat(actions, 2, axis=1)[:, ::2]]:
+        env.reset(seed=8)
+        outcome = [array.copy() for array in arrays(env.step(kind))]
+        expected = expected or outcome
+        assert all((a == b).all() for a, b in zip(outcome, expected, strict=True))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_actions_that_do_not_exist(name: str) -> None:
+    env = envs.make(name, 3)
+    env.reset()
+    for action in (-1, env.n_actions, 2**40):
+        actions = np.zeros((3, env.n_agents), np.int64)
+        actions[0] = 1
+        actions[2, 1] = action
+        before = env.observations.copy()
+        with pytest.raises(ValueError, match=f"sub-environment 2, agent 1: action {action} does not exist"):
+            env.step(actions)
+        np.testing.assert_array_equal(env.observations, before)
+    for wrong, message in (
+        (np.zeros((3, env.n_agents + 1), int), "shape"),
+        (np.zeros(3, int), "shape"),
+        (0, "shape"),
+        (np.zeros((3, env.n_agents)), "float64, not integers"),
+        (np.zeros((3, env.n_agents), bool), "bool, not integers"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.step(wrong)
+
+
+def test_forbidden_actions() -> None:
+    env = Counting()
+    env.reset()
+    *_, info = env.step([[0, 2]] * 3)
+    assert not info["action_mask"][:, 1, 2].any()
+    with pytest.raises(
+        ValueError, match="counting: sub-environment 1, agent 1: action 2 is forbidden by the action mask"
+    ):
+        env.step([[0, 0], [0, 2], [0, 2]])
+    assert env.state.tolist() == [[1]] * 3
+    env.step([[0, 0]] * 3)
+    env.step([[0, 2]] * 3)
+
+
+def test_a_family_without_pictures() -> None:
+    env = envs.make("matrix-climbing")
+    env.reset()
+    assert not env.can_draw
+    with pytest.raises(ValueError, match="no picture"):
+        env.frame()
