@@ -7,7 +7,7 @@ import pytest
 
 import envs
 
-CLIMBING = [[0, 6, 5], [-30, 7, 0], [11, -30, 0]]
+CLIMBING = [[11, -30, 0], [-30, 7, 0], [0, 6, 5]]
 
 
 @pytest.mark.parametrize("k", [None, 0, 25, 50, 75, 100, 3])
