@@ -10,13 +10,15 @@
 from __future__ import annotations
 
 import importlib
+import os
+from typing import Any
 
 from envs.provenance import provenance
 from envs.tasks import Task, TaskError, task, task_names
 from envs.tasks import TaskError as InputError
 from envs.vector import VectorEnv
 
-__all__ = ["InputError", "Task", "TaskError", "VectorEnv", "make", "provenance", "task", "task_names"]
+__all__ = ["InputError", "Task", "TaskError", "VectorEnv", "film", "make", "provenance", "task", "task_names"]
 
 
 def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:
@@ -30,3 +32,13 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
     module = importlib.import_module(f"envs.{described.module}")
     env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
     return env
+
+
+def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:
+    """Play with a team that a script's `load` returned, and save the first episodes as a GIF. Returns where it is."""
+    if not env.can_draw:
+        return f"{env.name} has no pictures, so there is no film."
+    from envs import render  # imports Pillow
+
+    render.film(env, team, path, episodes)
+    return f"film: {path}"

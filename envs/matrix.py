@@ -8,8 +8,8 @@ Two agents choose a row and a column at the same time and both receive the entry
 
 The benchmark paper prints climbing's rows from the bottom to the top. Its results hold for the rows as they stand here,
 where agents that act alike earn 11, 7 or 5: untrained agents that share a network score 275, 175 or 125 in it (no
-other five seeds have the mean and interval of its VDN), and IA2C, IPPO, MAA2C and MAPPO end at 175 with all seeds, where
-with the rows as printed MAPPO found 275 in five of nine.
+other five seeds have the mean and interval of its VDN), and IA2C, IPPO, MAA2C and MAPPO end at 175 with all seeds,
+where with the rows as printed MAPPO found 275 in five of nine.
 
 Observation: two zeros per agent, always. Actions: 0, 1, 2, the row (agent 0) or the column (agent 1).
 Reward: the payoff, for each agent; the team's reward is the mean over the agents, which is the payoff.

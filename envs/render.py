@@ -8,10 +8,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+
+from envs.vector import Info, VectorEnv
 
 Colour = tuple[int, int, int]
 
@@ -104,3 +107,32 @@ def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str],
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     duration = [round(1000 / frames_per_second)] * (len(images) - 1) + [1000]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+class Team(Protocol):
+    """Agents at play, as the `load` of every script returns them."""
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+
+    def act(self, observations: NDArray[np.float32], info: Info) -> NDArray[np.int64]:
+        """Actions, [num_envs, n_agents]."""
+
+
+def film(env: VectorEnv, team: Team, path: str | os.PathLike[str], episodes: int = 5) -> None:
+    """Play an episode in each sub-environment; save the first few of them, one after the other, as a GIF.
+
+    Raises ValueError where the family has no pictures.
+    """
+    observations, info = env.reset()
+    team.reset()
+    shown = range(min(episodes, env.num_envs))
+    frames = [[env.frame(index)] for index in shown]
+    ended = np.zeros(env.num_envs, bool)
+    while not ended.all():
+        observations, _, terminated, truncated, info = env.step(team.act(observations, info))
+        for index in shown:
+            if not ended[index]:
+                frames[index].append(env.frame(index))
+        ended = terminated | truncated
+    save_film([frame for episode in frames for frame in episode], path)

@@ -186,10 +186,9 @@ class VectorEnv(GymnasiumVectorEnv):
     def _as_actions(self, actions: Any) -> NDArray[np.int64]:
         """Actions of any integer kind, lists too, as the array that the compiled rules take."""
         array = np.asarray(actions)
-        if array.shape != (self.num_envs, self.n_agents):
+        if array.shape != self._shape:
             raise ValueError(
-                f"{self.name}: actions have the shape {array.shape}, not (num_envs, n_agents) = "
-                f"({self.num_envs}, {self.n_agents})."
+                f"{self.name}: actions have the shape {array.shape}, not (num_envs, n_agents) = {self._shape}."
             )
         if array.dtype.kind not in "iu":
             raise ValueError(f"{self.name}: actions are {array.dtype}, not integers.")

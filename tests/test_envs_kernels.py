@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import envs
-from envs.kernels import episode_state, mix, random_below
+from envs.kernels import episode_state, forbidden_action, mix, random_below
 
 PACKAGE = Path(envs.__file__).parent
 
@@ -48,6 +48,17 @@ def test_episodes_start_at_states_of_their_own() -> None:
         for episode in range(30)
     }
     assert len(states) == 4 * 30 * 30
+
+
+def test_the_first_forbidden_action_is_found() -> None:
+    mask = np.ones((2, 3, 4), np.bool_)
+    actions = np.array([[0, 1, 3], [3, 2, 0]])
+    assert forbidden_action(actions, mask) == -1
+    mask[1, 1, 2] = False
+    assert forbidden_action(actions, mask) == 4
+    for wrong in (-1, 4):
+        actions[0, 2] = wrong
+        assert forbidden_action(actions, mask) == 2
 
 
 def run(code: str, folder: Path, **environment: str) -> str:

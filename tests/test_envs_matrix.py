@@ -1,4 +1,4 @@
-"""The matrix games, against the payoffs printed in the paper."""
+"""The matrix games, against the paper's payoffs (climbing: see the note in envs/matrix.py)."""
 
 from __future__ import annotations
 
