@@ -11,14 +11,13 @@ from the one that gathered the experience. V' is a slowly moving copy of the cri
     L(critic) = mean (G_t - V(s_t))^2
     L(actor)  = - mean [ min(rho_t A_t, clip(rho_t, 1 - clip_coef, 1 + clip_coef) A_t) + entropy_coef H(pi(. | o_t)) ]
 
-Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games" (2021). Hyperparameters and tables:
+Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games" (2021). Tables:
 Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks" (2021); as
 there, no GAE, no minibatches, no normalised advantages, no clipped values. We deviate from its code in two points: an
 episode that runs out of time keeps its last reward and bootstraps from the state after it (there, a value replaced the
 reward); standardised rewards take their mean and deviation from played steps only (there, padding counted).
 
     python algos/mappo.py --env lbf-15x15-3p-5f               train with the paper's hyperparameters
-    python algos/mappo.py --env lbf-15x15-3p-5f --resume      go on with a run that was interrupted
     python algos/mappo.py --watch runs/lbf-15x15-3p-5f/mappo-shared/seed0
 """
 
@@ -42,20 +41,15 @@ from tqdm import tqdm
 
 import envs
 
-# What the paper's search chose, by parameter sharing and family of tasks; it has a budget for on-policy algorithms.
+# What the paper's search chose, by family of tasks: with parameter sharing, without; its budget is the on-policy one.
 PAPER_BUDGET = "on_policy_timesteps"
 PAPER_FLAGS = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step".split()
 PAPER = {
-    (True, "matrix"): (64, 0.0005, "batch", "fc", 0.001, "soft", 5),
-    (True, "mpe"): (64, 0.0005, "batch", "fc", 0.01, "soft", 5),
-    (True, "smac"): (64, 0.0005, "none", "gru", 0.001, "soft", 10),
-    (True, "lbf"): (128, 0.0003, "none", "fc", 0.001, "soft", 5),
-    (True, "rware"): (128, 0.0005, "none", "fc", 0.001, "soft", 10),
-    (False, "matrix"): (64, 0.0005, "batch", "fc", 0.001, "soft", 5),
-    (False, "mpe"): (128, 0.0001, "batch", "fc", 0.01, "soft", 5),
-    (False, "smac"): (64, 0.0005, "batch", "gru", 0.001, "soft", 10),
-    (False, "lbf"): (128, 0.0001, "none", "fc", 0.001, "hard", 10),
-    (False, "rware"): (128, 0.0005, "none", "fc", 0.001, "soft", 10),
+    "matrix": ((64, 0.0005, "batch", "fc", 0.001, "soft", 5), (64, 0.0005, "batch", "fc", 0.001, "soft", 5)),
+    "mpe": ((64, 0.0005, "batch", "fc", 0.01, "soft", 5), (128, 0.0001, "batch", "fc", 0.01, "soft", 5)),
+    "smac": ((64, 0.0005, "none", "gru", 0.001, "soft", 10), (64, 0.0005, "batch", "gru", 0.001, "soft", 10)),
+    "lbf": ((128, 0.0003, "none", "fc", 0.001, "soft", 5), (128, 0.0001, "none", "fc", 0.001, "hard", 10)),
+    "rware": ((128, 0.0005, "none", "fc", 0.001, "soft", 10), (128, 0.0005, "none", "fc", 0.001, "soft", 10)),
 }
 
 
@@ -91,41 +85,43 @@ class Args:
 
 # --- networks ---
 class Network(nn.Module):
-    """Linear - ReLU - core - Linear, the core a GRU or Linear - ReLU."""
+    """Linear - ReLU - core - Linear, the core a GRU or Linear - ReLU; if agents share it, it sees their one-hot ids."""
 
-    def __init__(self, input_size: int, hidden_dim: int, output_size: int, core: str):
+    def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
         super().__init__()
-        self.first = nn.Linear(input_size, hidden_dim)
+        self.sizes = [input_size, n_ids]
+        self.first = nn.Linear(input_size + n_ids, hidden_dim)
         self.core = nn.GRU(hidden_dim, hidden_dim) if core == "gru" else nn.Linear(hidden_dim, hidden_dim)
         self.last = nn.Linear(hidden_dim, output_size)
 
     def forward(self, x: Tensor, hidden: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
-        """x: [time, row, input]; hidden: [1, row, hidden_dim], None for zeros. Returns [time, row, output], hidden."""
-        x = torch.relu(self.first(x))
-        x, hidden = self.core(x, hidden) if isinstance(self.core, nn.GRU) else (torch.relu(self.core(x)), None)
-        return self.last(x), hidden
+        """x: [time, env, agent, input] -> [time, env, agent, output]; hidden: [1, env * agent, hidden_dim] or None."""
+        weight, id_weight = self.first.weight.split(self.sizes, dim=1)
+        x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
+        if id_weight.numel() > 0:  # times a one-hot id: one column for each agent
+            x = x + id_weight.T.contiguous()
+        x = torch.relu(x)
+        if isinstance(self.core, nn.GRU):
+            rows, hidden = self.core(x.flatten(1, 2), hidden)
+            return self.last(rows.view_as(x)), hidden
+        return self.last(torch.relu(self.core(x))), None
 
 
 class AgentNetworks(nn.Module):
-    """One network for all agents, told by a one-hot id which agent it is, or (no sharing) one network for each."""
+    """One network for all agents (parameter sharing), or one for each."""
 
     def __init__(self, args: Args, n_agents: int, input_size: int, output_size: int, core: str = "fc"):
         super().__init__()
-        self.n_agents, self.shared = n_agents, args.parameter_sharing
-        sizes = (input_size + n_agents * self.shared, args.hidden_dim, output_size)
-        self.networks = nn.ModuleList(Network(*sizes, core) for _ in range(1 if self.shared else n_agents))
+        copies, n_ids = (1, n_agents) if args.parameter_sharing else (n_agents, 0)
+        sizes = (input_size, n_ids, args.hidden_dim, output_size)
+        self.networks = nn.ModuleList(Network(*sizes, core) for _ in range(copies))
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
         """x: [time, env, agent (1 if all see the same), input] -> [time, env, agent, output]; hidden: one a network."""
-        x = x.expand(-1, -1, self.n_agents, -1)
-        if self.shared:
-            ids = torch.eye(self.n_agents, device=x.device).expand(*x.shape[:2], -1, -1)
-            x = torch.cat([x, ids], dim=-1)
-        inputs = x.chunk(len(self.networks), dim=2)  # a network sees all agents, or its own
-        hidden = hidden or [None] * len(inputs)
-        results = [net(x.flatten(1, 2), h) for net, x, h in zip(self.networks, inputs, hidden, strict=True)]
-        outputs = [output.unflatten(1, (x.shape[1], -1)) for output, _ in results]
-        return torch.cat(outputs, dim=2), [state for _, state in results]
+        n = len(self.networks)
+        views = [x] if n == 1 else x.expand(-1, -1, n, -1).split(1, dim=2)
+        results = [net(view, h) for net, view, h in zip(self.networks, views, hidden or [None] * n)]
+        return torch.cat([output for output, _ in results], dim=2), [h for _, h in results]
 
 
 # --- maths ---
@@ -135,8 +131,7 @@ class RewardStandardiser(nn.Module):
     def __init__(self, method: str):
         super().__init__()
         self.method = method
-        self.seen: Tensor  # count, mean, sum of squared deviations
-        self.register_buffer("seen", torch.zeros(3, dtype=torch.float64))
+        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squared deviations
 
     def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
         """rewards: [time, env, 1 or agent]; played: [time, env]. Statistics pool played steps, and agents."""
@@ -156,7 +151,7 @@ class RewardStandardiser(nn.Module):
 def n_step_returns(rewards: Tensor, values: Tensor, played: Tensor, terminated: Tensor, gamma: float, n: int) -> Tensor:
     """Discounted sum of the next n rewards, plus the discounted value of the state after them.
 
-    The sum stops where the episode does: with nothing if it terminated, with the value of its last state otherwise.
+    The sum ends where the episode does, with nothing if it terminated, with the value of its last state otherwise.
     rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], of the state before each step and after the last;
     played: [time, env] bool; terminated: [time, env] bool, True from the end on. Returns [time, env, agent].
     """
@@ -325,7 +320,7 @@ MAY_CHANGE = {"total_timesteps", "device", "threads", "run_dir", "resume", "watc
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The paper's budget and hyperparameters for the task's family (Args' own values where it has none)."""
     task = envs.task(env)
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS, PAPER.get((parameter_sharing, task.family), ())))
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS, PAPER.get(task.family, ((), ()))[not parameter_sharing]))
     chosen |= {"total_timesteps": getattr(task, PAPER_BUDGET), "eval_points": task.eval_points}
     return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
 
@@ -372,8 +367,7 @@ class Run:
 
     def __init__(self, args: Args, env: Any, parts: dict[str, Any], rng: torch.Generator):
         self.args, self.env, self.parts, self.rng, self.stop_signal = args, env, parts, rng, 0
-        self.timestep, self.updates, self.budget = 0, 0, args.total_timesteps
-        self.rows: list[dict[str, float]] = []  # of evaluations.csv
+        self.timestep, self.updates, self.budget, self.rows = 0, 0, args.total_timesteps, list[dict[str, float]]()
         self.wall_start, self.cpu_start = time.time(), time.process_time()
         self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
         name = f"{ALGORITHM}-{'shared' if args.parameter_sharing else 'independent'}"

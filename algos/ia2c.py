@@ -1,0 +1,484 @@
+"""IA2C: independent advantage actor-critic.
+
+Every agent has a policy of its own observation (the actor). A critic that sees the same observation, and is needed in
+training only, tells how good a situation is. Ten environments each play one episode; then the policies make
+one gradient step towards the actions that went better than the critic expected. V' is a slowly moving copy of the
+critic V.
+
+    G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(o_{t+n})       n-step return
+    A_t       = G_t - V(o_t)                                                                  advantage
+    L(critic) = mean (G_t - V(o_t))^2
+    L(actor)  = - mean [ A_t log pi(a_t | o_t) + entropy_coef H(pi(. | o_t)) ]
+
+Mnih et al., "Asynchronous Methods for Deep Reinforcement Learning" (2016). Tables:
+Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks" (2021); as
+there, no GAE, no normalised advantages, one gradient step a batch. We deviate from its code in two points: an episode
+that runs out of time keeps its last reward and bootstraps from the state after it (there, a value replaced the reward);
+standardised rewards take their mean and deviation from played steps only (there, padding counted).
+
+    python algos/ia2c.py --env lbf-15x15-3p-5f               train with the paper's hyperparameters
+    python algos/ia2c.py --watch runs/lbf-15x15-3p-5f/ia2c-shared/seed0
+"""
+
+import json
+import re
+import signal
+import sys
+import time
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import filelock
+import numpy as np
+import torch
+import tyro
+from torch import Tensor, nn
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+import envs
+
+# What the paper's search chose, by family of tasks: with parameter sharing, without; its budget is the on-policy one.
+PAPER_BUDGET = "on_policy_timesteps"
+PAPER_FLAGS = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step".split()
+PAPER = {
+    "matrix": ((64, 0.0005, "batch", "fc", 0.01, "soft", 5), (128, 0.0001, "batch", "fc", 0.01, "hard", 5)),
+    "mpe": ((64, 0.0005, "batch", "gru", 0.01, "soft", 5), (128, 0.0005, "batch", "fc", 0.01, "soft", 10)),
+    "smac": ((128, 0.0005, "batch", "fc", 0.01, "soft", 5), (64, 0.0005, "batch", "fc", 0.01, "soft", 5)),
+    "lbf": ((128, 0.0005, "batch", "gru", 0.001, "soft", 5), (64, 0.0005, "batch", "gru", 0.01, "soft", 5)),
+    "rware": ((64, 0.0005, "batch", "fc", 0.01, "soft", 5), (64, 0.0005, "batch", "fc", 0.01, "soft", 5)),
+}
+
+
+@dataclass
+class Args:
+    env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
+    seed: int = 0  # of networks, environments and actions
+    total_timesteps: int = 20_000_000  # steps of all environments together
+    parameter_sharing: bool = True  # one set of networks for all agents, or one for each
+    network: Literal["fc", "gru"] = "fc"  # core of the agents' networks; critics are always fc
+    hidden_dim: int = 128  # width of all layers
+    learning_rate: float = 0.0005  # of Adam, for actor and critic
+    gamma: float = 0.99  # discount
+    n_step: int = 5  # rewards in a return before it bootstraps
+    entropy_coef: float = 0.001  # weight of the policies' entropy
+    max_grad_norm: float = 10.0  # gradients are clipped to this norm, actor and critic apart
+    target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % after each
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # over the batch, or all rewards so far
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # value of the state after a time-out, or zero
+    individual_rewards: bool = False  # each agent learns from its own reward instead of the team's
+    num_envs: int = 10  # environments side by side; a batch is one episode of each
+    eval_points: int = 41  # evaluations at equal distances, the first before training
+    eval_episodes: int = 100  # episodes of an evaluation, or of --watch
+    device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
+    threads: int = 1  # CPU threads of PyTorch
+    run_dir: str = ""  # default: runs/<task>/<algorithm>-<sharing>.../seed<seed>
+    resume: bool = False  # go on from the last checkpoint if there is one
+    watch: str = ""  # play the team of this run directory and film it instead of training
+    track: bool = False  # follow the run in Weights & Biases
+
+
+# --- networks ---
+class Network(nn.Module):
+    """Linear - ReLU - core - Linear, the core a GRU or Linear - ReLU; if agents share it, it sees their one-hot ids."""
+
+    def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
+        super().__init__()
+        self.sizes = [input_size, n_ids]
+        self.first = nn.Linear(input_size + n_ids, hidden_dim)
+        self.core = nn.GRU(hidden_dim, hidden_dim) if core == "gru" else nn.Linear(hidden_dim, hidden_dim)
+        self.last = nn.Linear(hidden_dim, output_size)
+
+    def forward(self, x: Tensor, hidden: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
+        """x: [time, env, agent, input] -> [time, env, agent, output]; hidden: [1, env * agent, hidden_dim] or None."""
+        weight, id_weight = self.first.weight.split(self.sizes, dim=1)
+        x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
+        if id_weight.numel() > 0:  # times a one-hot id: one column for each agent
+            x = x + id_weight.T.contiguous()
+        x = torch.relu(x)
+        if isinstance(self.core, nn.GRU):
+            rows, hidden = self.core(x.flatten(1, 2), hidden)
+            return self.last(rows.view_as(x)), hidden
+        return self.last(torch.relu(self.core(x))), None
+
+
+class AgentNetworks(nn.Module):
+    """One network for all agents (parameter sharing), or one for each."""
+
+    def __init__(self, args: Args, n_agents: int, input_size: int, output_size: int, core: str = "fc"):
+        super().__init__()
+        copies, n_ids = (1, n_agents) if args.parameter_sharing else (n_agents, 0)
+        sizes = (input_size, n_ids, args.hidden_dim, output_size)
+        self.networks = nn.ModuleList(Network(*sizes, core) for _ in range(copies))
+
+    def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
+        """x: [time, env, agent (1 if all see the same), input] -> [time, env, agent, output]; hidden: one a network."""
+        n = len(self.networks)
+        views = [x] if n == 1 else x.expand(-1, -1, n, -1).split(1, dim=2)
+        results = [net(view, h) for net, view, h in zip(self.networks, views, hidden or [None] * n)]
+        return torch.cat([output for output, _ in results], dim=2), [h for _, h in results]
+
+
+# --- maths ---
+class RewardStandardiser(nn.Module):
+    """Rewards to mean 0 and deviation 1, over each batch ("batch") or over all batches so far ("running")."""
+
+    def __init__(self, method: str):
+        super().__init__()
+        self.method = method
+        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squared deviations
+
+    def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
+        """rewards: [time, env, 1 or agent]; played: [time, env]. Statistics pool played steps, and agents."""
+        if self.method == "none":
+            return rewards
+        sample = rewards[played].double()
+        count, mean, squares = sample.numel(), sample.mean(), (sample - sample.mean()).square().sum()
+        if self.method == "running":  # join this sample and what was seen before (Chan et al., 1979)
+            seen_count, seen_mean, seen_squares = self.seen.clone()
+            total, shift = seen_count + count, mean - seen_mean
+            squares += seen_squares + shift.square() * seen_count * count / total
+            count, mean = total, seen_mean + shift * count / total
+            self.seen.copy_(torch.stack([count, mean, squares]))
+        return ((rewards - mean) / ((squares / max(count - 1, 1)).sqrt() + 1e-5)).float()
+
+
+def n_step_returns(rewards: Tensor, values: Tensor, played: Tensor, terminated: Tensor, gamma: float, n: int) -> Tensor:
+    """Discounted sum of the next n rewards, plus the discounted value of the state after them.
+
+    The sum ends where the episode does, with nothing if it terminated, with the value of its last state otherwise.
+    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], of the state before each step and after the last;
+    played: [time, env] bool; terminated: [time, env] bool, True from the end on. Returns [time, env, agent].
+    """
+    values = torch.cat([values[:1], values[1:].masked_fill(terminated.unsqueeze(-1), 0.0)])
+    returns = values
+    for _ in range(n):  # from k-step to (k + 1)-step returns, at all times at once
+        longer = torch.where(played.unsqueeze(-1), rewards + gamma * returns[1:], values[:-1])
+        returns = torch.cat([longer, values[-1:]])
+    return returns[:-1]
+
+
+def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
+    """log pi(. | o), [..., action]; finite, so that an entropy is, where the probability of a masked action is 0."""
+    return torch.log_softmax(logits.masked_fill(~action_masks, torch.finfo(logits.dtype).min), dim=-1)
+
+
+def played_mean(x: Tensor, played: Tensor) -> Tensor:
+    """Mean of x [time, env, agent] over agents and over the steps that were played [time, env]."""
+    return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
+
+
+def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
+    """Draws from softmax(logits) over the available actions (the Gumbel-max trick): [..., action] -> [...]"""
+    gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_()
+    return (logits + gumbel.to(logits.device)).masked_fill(~action_masks, -torch.inf).argmax(-1)
+
+
+# --- experience ---
+class Batch(NamedTuple):
+    """One episode of each sub-environment; the first three have one row more than steps, for what follows the last."""
+
+    observations: Tensor  # [time + 1, env, agent, obs]
+    states: Tensor  # [time + 1, env, state]
+    action_masks: Tensor  # [time + 1, env, agent, action] bool
+    actions: Tensor  # [time, env, agent] int64
+    rewards: Tensor  # [time, env, 1 or agent], the team's or each agent's
+    played: Tensor  # [time, env] bool, False once the episode has ended
+    terminated: Tensor  # [time, env] bool, True from an end on after which the value is zero
+
+
+def new_batch(args: Args, env: Any) -> Batch:
+    """Arrays for the longest episodes, which `collect` fills again and again."""
+    steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
+    observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
+    return Batch(
+        observations,
+        observations.flatten(2) if env.state_is_observations else torch.zeros(steps + 1, n_envs, env.state_size),
+        torch.zeros(steps + 1, n_envs, n_agents, env.n_actions, dtype=torch.bool),
+        torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),
+        torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),
+        torch.zeros(steps, n_envs, dtype=torch.bool),
+        torch.zeros(steps, n_envs, dtype=torch.bool),
+    )
+
+
+@torch.inference_mode()
+def collect(args: Args, env: Any, agents: AgentNetworks, batch: Batch, rng: torch.Generator) -> Batch:
+    """Plays one whole episode in each sub-environment. Returns the batch, cut to the longest of them."""
+    observations, states, action_masks, actions, rewards, played, terminated = (x.numpy() for x in batch)
+    observations[0], info = env.reset()
+    ended, hidden, t = np.zeros(env.num_envs, dtype=bool), None, 0
+    while True:
+        states[t], action_masks[t] = info["state"], info["action_mask"]
+        if ended.all():
+            return Batch(*(x[: t + len(x) - env.episode_limit].to(args.device) for x in batch))
+        logits, hidden = agents(batch.observations[t : t + 1].to(args.device), hidden)
+        batch.actions[t] = sample_actions(logits[0], batch.action_masks[t].to(args.device), rng)
+        played[t] = ~ended
+        observations[t + 1], team_rewards, real_end, time_out, info = env.step(actions[t])
+        rewards[t] = info["agent_rewards"] if args.individual_rewards else team_rewards[:, None]
+        ended = real_end | time_out
+        terminated[t] = ended if args.time_limit == "terminal" else real_end
+        t += 1
+
+
+# --- update ---
+def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> None:
+    """One step down the loss, with the gradient of all parameters together clipped in norm."""
+    optimiser.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], max_grad_norm)
+    optimiser.step()
+
+
+@torch.no_grad()
+def update_target(target: nn.Module, online: nn.Module, method: str, updates: int) -> None:
+    """Hard: a copy at every 200th of the updates. Soft: each time 1 % of the way to the online network."""
+    if method == "soft" or updates % 200 == 0:
+        for old, new in zip(target.parameters(), online.parameters()):
+            old.lerp_(new, 0.01 if method == "soft" else 1.0)
+
+
+def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
+    """Learns from a batch, in update number `updates` (from 1). Returns its losses."""
+    agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
+    critic_inputs = batch.observations  # [time + 1, env, agent, obs]: to each agent its own
+    rewards = parts["standardiser"](batch.rewards, batch.played)
+    with torch.no_grad():
+        target_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time + 1, env, agent]
+    returns = n_step_returns(rewards, target_values, batch.played, batch.terminated, args.gamma, args.n_step)
+
+    values = critic(critic_inputs[:-1])[0].squeeze(-1)  # [time, env, agent]
+    advantages = returns - values.detach()
+    critic_loss = played_mean((returns - values).square(), batch.played)
+    gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
+
+    log_probs = log_probabilities(agents(batch.observations[:-1])[0], batch.action_masks[:-1])
+    taken = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
+    entropy = -(log_probs.exp() * log_probs).sum(-1)
+    actor_loss = -played_mean(advantages * taken + args.entropy_coef * entropy, batch.played)
+    gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
+
+    update_target(target_critic, critic, args.target_update, updates)
+    return {"critic": critic_loss, "actor": actor_loss, "entropy": played_mean(entropy, batch.played)}
+
+
+# --- evaluation ---
+class SamplingTeam:
+    """Trained agents at play, drawing actions from their policies."""
+
+    def __init__(self, args: Args, agents: AgentNetworks, seed: int):
+        self.args, self.agents, self.rng = args, agents, torch.Generator().manual_seed(seed)
+        self.reset()
+
+    def reset(self) -> None:
+        """To be called before each episode: forgets the last one."""
+        self.hidden: list | None = None
+
+    @torch.inference_mode()
+    def act(self, observations: np.ndarray, info: dict) -> np.ndarray:
+        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action]. Returns actions, [env, agent]."""
+        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)
+        outputs, self.hidden = self.agents(inputs, self.hidden)
+        action_masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
+        return sample_actions(outputs[0], action_masks, self.rng).cpu().numpy()
+
+
+Team = SamplingTeam  # by this name the code below, the same in all nine scripts, knows it
+
+
+def evaluate(env: Any, team: Team, seed: int) -> dict[str, float]:
+    """Plays one episode in each sub-environment, all of them drawn from the seed."""
+    observations, info = env.reset(seed=seed)
+    team.reset()
+    ended, returns, lengths = np.zeros(env.num_envs, bool), np.zeros(env.num_envs), np.zeros(env.num_envs)
+    while not ended.all():
+        observations, rewards, terminated, truncated, info = env.step(team.act(observations, info))
+        returns, lengths = returns + rewards, lengths + ~ended
+        ended = terminated | truncated
+    results = {"return_mean": returns.mean(), "return_std": returns.std(), "episode_length": lengths.mean()}
+    return {name: float(value) for name, value in results.items()}
+
+
+# --- the run: flags, directory, checkpoints, progress ---
+ALGORITHM = Path(__file__).stem
+NOT_IN_NAME = {"env", "seed", "parameter_sharing", "eval_points", "eval_episodes"}  # of the directory
+MAY_CHANGE = {"total_timesteps", "device", "threads", "run_dir", "resume", "watch", "track"}  # on --resume
+
+
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
+    """The paper's budget and hyperparameters for the task's family (Args' own values where it has none)."""
+    task = envs.task(env)
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS, PAPER.get(task.family, ((), ()))[not parameter_sharing]))
+    chosen |= {"total_timesteps": getattr(task, PAPER_BUDGET), "eval_points": task.eval_points}
+    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
+
+
+def parse(argv: list[str]) -> Args:
+    """Reads the flags twice: first those that decide on the defaults, then, with these, all of them."""
+    deciding = [flag for flag in argv if flag not in ("-h", "--help")]
+    defaults, _ = tyro.cli(paper_defaults, args=deciding, return_unknown_args=True)
+    args = tyro.cli(Args, args=argv, default=defaults, description=__doc__)
+    for name, value in vars(args).items():
+        if type(value) in (int, float) and not value >= (type(value) is int and name != "seed"):  # counts begin at 1
+            raise envs.InputError(f"--{name.replace('_', '-')} cannot be {value}.")
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise envs.InputError("--device cuda: PyTorch finds no CUDA device here.")
+    return args
+
+
+def read_checkpoint(directory: Path) -> dict[str, Any] | None:
+    """The last checkpoint that is whole; None where there is none yet. InputError where all are damaged."""
+    found = [path for path in (directory / "checkpoint.pt", directory / "checkpoint.previous.pt") if path.exists()]
+    for path in found:
+        try:
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except Exception:  # torch.load raises almost anything on a damaged file
+            print(f"{path} is damaged and cannot be used.", file=sys.stderr)
+    if found or (directory / "evaluations.csv").exists():
+        raise envs.InputError(f"{directory} holds a run, but no checkpoint of it that can be used.")
+    return None
+
+
+def load(run_dir: str | Path, seed: int = 0) -> Team:
+    """The trained team of a run, on the CPU. seed: of the actions that it draws."""
+    saved = read_checkpoint(Path(run_dir))
+    if saved is None or saved["algorithm"] != ALGORITHM:
+        raise envs.InputError(f"{run_dir} holds no checkpoint of {ALGORITHM}.")
+    args = Args(**saved["flags"] | {"device": "cpu"})
+    agents = AgentNetworks(args, *saved["sizes"])
+    agents.load_state_dict(saved["parts"]["agents"])
+    return Team(args, agents, seed)
+
+
+class Run:
+    """What a run keeps and shows; parts: everything with a state_dict, by name ("agents": the networks that act)."""
+
+    def __init__(self, args: Args, env: Any, parts: dict[str, Any], rng: torch.Generator):
+        self.args, self.env, self.parts, self.rng, self.stop_signal = args, env, parts, rng, 0
+        self.timestep, self.updates, self.budget, self.rows = 0, 0, args.total_timesteps, list[dict[str, float]]()
+        self.wall_start, self.cpu_start = time.time(), time.process_time()
+        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
+        name = f"{ALGORITHM}-{'shared' if args.parameter_sharing else 'independent'}"
+        for flag, default in vars(paper_defaults(args.env, args.parameter_sharing)).items():
+            if flag not in NOT_IN_NAME | MAY_CHANGE and getattr(args, flag) != default:
+                name += f"-{flag.replace('_', '-')}={getattr(args, flag)}"
+        safe = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (args.env, name, f"seed{args.seed}"))
+        self.directory = Path(args.run_dir or Path("runs", *safe))
+        self.lock = filelock.FileLock(self.directory / "lock").acquire(timeout=0)
+        if not args.resume and any(path.name != "lock" for path in self.directory.iterdir()):
+            raise envs.InputError(f"{self.directory} holds a run already: add --resume, or choose another --run-dir.")
+        if saved := read_checkpoint(self.directory):
+            self.restore(saved)
+        (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
+        if args.track:
+            import wandb
+
+            name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
+            wandb.init(project="marl-baselines", id=name, config=vars(args), resume="allow", sync_tensorboard=True)
+        self.writer = SummaryWriter(str(self.directory), purge_step=self.timestep + 1 if saved else None)
+        self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Goes on where the checkpoint was made, if it was made with the same flags."""
+        then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(self.args) | {"algorithm": ALGORITHM}
+        changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
+        if changed or now["total_timesteps"] < then["total_timesteps"]:
+            names = ", ".join(f"--{x.replace('_', '-')} {then[x]}" for x in [*changed, "total_timesteps"])
+            raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
+        for name, part in self.parts.items():
+            part.load_state_dict(saved["parts"][name])
+        rng_state, self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
+        self.rng.set_state(rng_state)
+        self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
+
+    def save(self) -> None:
+        """Writes the checkpoint, whole or not at all, keeps the one before it, and writes evaluations.csv."""
+        counters = (self.timestep, self.updates, self.budget, self.wall, self.cpu)
+        saved: dict[str, Any] = {"algorithm": ALGORITHM, "flags": vars(self.args)}
+        saved["sizes"] = (self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network)
+        saved["parts"] = {name: part.state_dict() for name, part in self.parts.items()}
+        saved["progress"] = (self.rng.get_state(), self.env.episode, self.rows, *counters)
+        last, previous, new = (self.directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))
+        torch.save(saved, new)
+        if last.exists():
+            last.replace(previous)
+        new.replace(last)
+        table = [self.rows[0], *(row.values() for row in self.rows)]
+        (self.directory / "evaluations.csv").write_text("".join(",".join(map(str, line)) + "\n" for line in table))
+
+    def goes_on(self) -> bool:
+        """Evaluates and saves where that is due. False when the budget is spent; a stop asked for ends the process."""
+        self.wall, self.cpu = time.time() - self.wall_start, time.process_time() - self.cpu_start
+        reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
+        while (point := len(self.rows)) * self.budget <= reached:
+            seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
+            results = evaluate(self.eval_env, Team(self.args, self.parts["agents"], seed), seed)
+            row = {"point": point, "timestep": self.timestep, "wall_seconds": self.wall, "cpu_seconds": self.cpu}
+            self.rows.append(row | results)
+            self.writer.add_scalar("evaluation/return_mean", results["return_mean"], self.timestep)
+            self.bar.write(f"step {self.timestep:,}: " + ", ".join(f"{k} {v:.3f}" for k, v in results.items()))
+            self.save()
+        if self.timestep < self.args.total_timesteps and not self.stop_signal:
+            return True
+        self.save()
+        self.bar.close()
+        self.writer.close()
+        if self.stop_signal:
+            sys.exit(f"Stopped at step {self.timestep:,}; the same command with --resume goes on.")
+        return False
+
+    def advance(self, steps: int, losses: dict[str, Tensor]) -> None:
+        """Counts an update and the steps that it learned from; logs the losses a thousand times a run."""
+        before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + 1
+        for term, loss in losses.items():
+            if not torch.isfinite(loss):
+                sys.exit(f"The {term} loss is {float(loss)} at step {self.timestep:,}; the last checkpoint is kept.")
+            if self.timestep * 1000 // self.budget > before * 1000 // self.budget:
+                self.writer.add_scalar(f"loss/{term}", loss, self.timestep)
+        self.bar.update(steps)
+
+
+def train(args: Args) -> None:
+    """Trains a team on a task."""
+    rng = torch.manual_seed(args.seed)
+    env = envs.make(args.env, args.num_envs, args.seed, copy=False)
+    agents = AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions, args.network).to(args.device)
+    critic = AgentNetworks(args, env.n_agents, env.obs_size, 1).to(args.device)
+    parts = {
+        "agents": agents,
+        "critic": critic,
+        "target_critic": deepcopy(critic),
+        "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
+        "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
+        "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
+    }
+    arrays = new_batch(args, env)
+    run = Run(args, env, parts, rng)
+    while run.goes_on():
+        batch = collect(args, env, agents, arrays, rng)
+        losses = update(args, parts, batch, run.updates + 1)
+        run.advance(int(batch.played.sum()), losses)
+
+
+def main() -> None:
+    """Trains, or plays what was trained. Wrong input ends with one sentence and exit code 2."""
+    try:
+        args = parse(sys.argv[1:])
+        torch.set_num_threads(args.threads)
+        if not args.watch:
+            return train(args)
+        team = load(args.watch)
+        env = envs.make(team.args.env, args.eval_episodes)
+        print(evaluate(env, team, team.args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
+    except (envs.InputError, ModuleNotFoundError, filelock.Timeout) as error:
+        print(f"{ALGORITHM}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

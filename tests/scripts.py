@@ -1,0 +1,60 @@
+"""The scripts of algos/ as modules, and the pieces that their tests share."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import torch
+
+import envs
+
+ROOT = Path(__file__).resolve().parent.parent
+NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
+ON_POLICY = [name for name in NAMES if name in ("ia2c", "ippo", "coma", "maa2c", "mappo")]
+
+
+def script(name: str) -> ModuleType:
+    """algos/<name>.py as a module."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, ROOT / "algos" / f"{name}.py")
+        assert spec is not None and spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+class FakeRun:
+    """Stands for a script's Run: notes the parts that `train` builds, and lets it make some updates."""
+
+    def __init__(self, updates: int):
+        self.left, self.updates, self.losses = updates, 0, []
+
+    def __call__(self, args, env, parts, rng):
+        self.args, self.env, self.parts, self.rng = args, env, parts, rng
+        return self
+
+    def goes_on(self) -> bool:
+        self.left -= 1
+        return self.left >= 0
+
+    def advance(self, steps, losses) -> None:
+        assert steps > 0
+        self.updates += 1
+        self.losses.append({name: float(loss.detach()) for name, loss in losses.items()})
+
+
+def trained(monkeypatch, name: str, updates: int, env: str = "lbf-5x5-2p-1f", **flags) -> FakeRun:
+    """What `train` of a script builds and has changed after some updates, without anything written to disk."""
+    module, run = script(name), FakeRun(updates)
+    monkeypatch.setattr(module, "Run", run)
+    args = module.paper_defaults(env, flags.pop("parameter_sharing", True))
+    for flag, value in flags.items():
+        assert hasattr(args, flag)
+        setattr(args, flag, value)
+    torch.set_num_threads(1)
+    module.train(args)
+    return run
+
+
+__all__ = ["NAMES", "ON_POLICY", "ROOT", "FakeRun", "envs", "script", "trained"]

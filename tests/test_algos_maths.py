@@ -1,0 +1,397 @@
+"""The maths of the scripts, against cases computed by hand or by slow, obvious loops."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scripts import NAMES, ON_POLICY, envs, script, trained
+
+GAMMA = 0.5
+
+
+def column(values, dtype=torch.float32):
+    """[time] -> [time, env 1, agent 1]"""
+    return torch.tensor(values, dtype=dtype).reshape(-1, 1, 1)
+
+
+def flags(values):
+    """[time] -> [time, env 1] bool"""
+    return torch.tensor(values, dtype=torch.bool).reshape(-1, 1)
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+class TestReturns:
+    """n_step_returns; rewards 1, 2, 4, 8 and values 10, 20, 30, 40, 50, discount one half."""
+
+    rewards, values = column([1.0, 2.0, 4.0, 8.0]), column([10.0, 20.0, 30.0, 40.0, 50.0])
+
+    def returns(self, name, played, terminated, n):
+        result = script(name).n_step_returns(self.rewards, self.values, flags(played), flags(terminated), GAMMA, n)
+        return result.flatten().tolist()
+
+    def test_time_out_bootstraps_from_the_state_after_the_last_step(self, name):
+        # t = 3: 8 + 50 / 2; t = 2: 4 + 8 / 2 + 50 / 4; t = 1: 2 + 4 / 2 + 40 / 4
+        expected = [1 + 1 + 30 / 4, 2 + 2 + 40 / 4, 4 + 4 + 50 / 4, 8 + 25]
+        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 2) == expected
+
+    def test_terminal_adds_nothing(self, name):
+        expected = [1 + 1 + 30 / 4, 2 + 2 + 40 / 4, 4 + 4, 8]
+        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 1], 2) == expected
+
+    def test_n_beyond_the_episode_is_the_whole_return(self, name):
+        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 1], 9) == [1 + 1 + 1 + 1, 2 + 2 + 2, 4 + 4, 8]
+        whole = self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 9)
+        assert whole == [4 + 50 / 16, 6 + 50 / 8, 8 + 50 / 4, 8 + 25]
+
+    def test_one_step(self, name):
+        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 1) == [1 + 10, 2 + 15, 4 + 20, 8 + 25]
+
+    def test_padding_is_never_read(self, name):
+        """Two steps were played. What stands behind the state after them must not matter, time-out or terminal."""
+        for terminated, expected in (([0, 0, 0, 0], [1 + 1 + 30 / 4, 2 + 15]), ([0, 1, 1, 1], [1 + 1, 2])):
+            assert self.returns(name, [1, 1, 0, 0], terminated, 3)[:2] == expected
+            garbage_rewards, garbage_values = self.rewards.clone(), self.values.clone()
+            garbage_rewards[2:], garbage_values[3:] = 1e9, -1e9
+            again = script(name).n_step_returns(
+                garbage_rewards, garbage_values, flags([1, 1, 0, 0]), flags(terminated), GAMMA, 3
+            )
+            assert again.flatten().tolist()[:2] == expected
+
+    def test_against_the_definition(self, name):
+        """Random episodes of many lengths and ends, agents with rewards of their own, by a loop over the definition."""
+        generator = torch.Generator().manual_seed(0)
+        steps, n_envs, n_agents, gamma = 12, 40, 2, 0.9
+        rewards = torch.randn(steps, n_envs, n_agents, generator=generator)
+        values = torch.randn(steps + 1, n_envs, n_agents, generator=generator)
+        lengths = torch.randint(1, steps + 1, (n_envs,), generator=generator)
+        real_end = torch.rand(n_envs, generator=generator) < 0.5
+        time = torch.arange(steps).unsqueeze(1)
+        played = time < lengths
+        terminated = (time >= lengths - 1) & real_end
+        for n in (1, 3, 5, 20):
+            returns = script(name).n_step_returns(rewards, values, played, terminated, gamma, n)
+            for env in range(n_envs):
+                length = int(lengths[env])
+                for t in range(length):
+                    end = min(t + n, length)
+                    expected = sum(gamma ** (k - t) * rewards[k, env] for k in range(t, end))
+                    if end < length or not real_end[env]:
+                        expected = expected + gamma ** (end - t) * values[end, env]
+                    torch.testing.assert_close(returns[t, env], expected)
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestStandardiser:
+    def test_batch_takes_played_steps_only(self, name):
+        rewards = column([1.0, 3.0, 100.0])
+        result = script(name).RewardStandardiser("batch")(rewards, flags([1, 1, 0])).flatten()
+        deviation = math.sqrt(2.0)  # of 1 and 3, unbiased
+        expected = [-1 / (deviation + 1e-5), 1 / (deviation + 1e-5)]
+        assert result[:2].tolist() == pytest.approx(expected, rel=1e-6)
+
+    def test_none_changes_nothing(self, name):
+        rewards = column([1.0, 3.0])
+        assert script(name).RewardStandardiser("none")(rewards, flags([1, 1])) is rewards
+
+    @pytest.mark.parametrize("method", ["batch", "running"])
+    def test_constant_rewards_and_single_steps_become_zeros(self, name, method):
+        for values in ([0.1] * 7, [0.3]):
+            result = script(name).RewardStandardiser(method)(column(values), flags([1] * len(values)))
+            assert (result == 0).all()
+
+    def test_running_is_the_statistics_of_all_batches_together(self, name):
+        generator = torch.Generator().manual_seed(1)
+        standardiser, seen = script(name).RewardStandardiser("running"), []
+        for _ in range(5):
+            rewards = torch.randn(4, 3, 2, generator=generator) * 3 + 7  # rewards of two agents: pooled
+            played = torch.rand(4, 3, generator=generator) < 0.7
+            result = standardiser(rewards, played)
+            seen += rewards[played].flatten().tolist()
+            expected = (rewards - np.mean(seen)) / (np.std(seen, ddof=1) + 1e-5)
+            torch.testing.assert_close(result, expected.float())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_played_mean(name):
+    x = torch.tensor([[[1.0, 3.0], [100.0, 100.0]], [[5.0, 7.0], [9.0, 11.0]]])  # [time 2, env 2, agent 2]
+    played = torch.tensor([[True, False], [True, True]])
+    assert float(script(name).played_mean(x, played)) == (1 + 3 + 5 + 7 + 9 + 11) / 6
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+class TestPolicies:
+    def test_masked_actions_have_no_probability_and_no_gradient(self, name):
+        logits = torch.tensor([[1.0, 2.0, 3.0]], requires_grad=True)
+        masks = torch.tensor([[True, False, True]])
+        log_probs = script(name).log_probabilities(logits, masks)
+        expected = torch.tensor([1.0, 3.0]).log_softmax(-1)
+        torch.testing.assert_close(log_probs[0, [0, 2]], expected)
+        assert log_probs.exp()[0, 1] == 0
+        entropy = -(log_probs.exp() * log_probs).sum()
+        torch.testing.assert_close(entropy, -(expected.exp() * expected).sum())
+        entropy.backward()
+        assert torch.isfinite(logits.grad).all() and logits.grad[0, 1] == 0
+
+    def test_samples_follow_the_softmax_and_the_mask(self, name):
+        logits = torch.tensor([0.0, 1.0, 5.0, 2.0]).expand(40_000, 4)
+        masks = torch.tensor([True, True, False, True]).expand(40_000, 4)
+        actions = script(name).sample_actions(logits, masks, torch.Generator().manual_seed(0))
+        frequencies = torch.bincount(actions, minlength=4) / len(actions)
+        expected = torch.tensor([0.0, 1.0, -torch.inf, 2.0]).softmax(-1)
+        assert frequencies[2] == 0
+        # five standard errors of a frequency near one half in 40,000 draws
+        torch.testing.assert_close(frequencies, expected, atol=5 * 0.5 / 200, rtol=0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestNetworks:
+    def args(self, name, **changed):
+        args = script(name).Args(hidden_dim=8)
+        vars(args).update(changed)
+        return args
+
+    def test_shared_network_sees_the_agents_id(self, name):
+        networks = script(name).AgentNetworks(self.args(name), 3, 4, 2)
+        x = torch.randn(5, 6, 3, 4)
+        outputs, _ = networks(x)
+        assert len(networks.networks) == 1 and outputs.shape == (5, 6, 3, 2)
+        first, core, last = networks.networks[0].first, networks.networks[0].core, networks.networks[0].last
+        for agent in range(3):
+            own_id = torch.eye(3)[agent].expand(5, 6, 3)
+            alone = last(core(first(torch.cat([x[:, :, agent], own_id], -1)).relu()).relu())
+            torch.testing.assert_close(outputs[:, :, agent], alone)
+
+    def test_without_sharing_each_agent_has_its_own_network(self, name):
+        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=False), 3, 4, 2)
+        x = torch.randn(5, 6, 3, 4)
+        outputs, _ = networks(x)
+        assert len(networks.networks) == 3 and outputs.shape == (5, 6, 3, 2)
+        for agent in range(3):
+            torch.testing.assert_close(outputs[:, :, [agent]], networks.networks[agent](x[:, :, [agent]])[0])
+
+    @pytest.mark.parametrize("sharing", [True, False])
+    def test_what_all_agents_see_alike_is_given_once(self, name, sharing):
+        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=sharing), 3, 4, 2)
+        x = torch.randn(5, 6, 1, 4)
+        torch.testing.assert_close(networks(x)[0], networks(x.repeat(1, 1, 3, 1))[0])
+
+    @pytest.mark.parametrize("sharing", [True, False])
+    def test_recurrent_sequence_equals_its_steps(self, name, sharing):
+        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=sharing), 3, 4, 2, "gru")
+        x = torch.randn(5, 6, 3, 4)
+        together, _ = networks(x)
+        hidden = None
+        for t in range(5):
+            step, hidden = networks(x[t : t + 1], hidden)
+            torch.testing.assert_close(step[0], together[t])
+
+    def test_target_updates(self, name):
+        online, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+        before = target.weight.clone()
+        script(name).update_target(target, online, "soft", 7)
+        torch.testing.assert_close(target.weight, 0.99 * before + 0.01 * online.weight)
+        moved = target.weight.clone()
+        script(name).update_target(target, online, "hard", 199)
+        assert torch.equal(target.weight, moved)
+        script(name).update_target(target, online, "hard", 200)
+        assert torch.equal(target.weight, online.weight) and torch.equal(target.bias, online.bias)
+
+    def test_gradient_norm_is_clipped_over_all_parameters(self, name):
+        a, b = torch.nn.Parameter(torch.zeros(1)), torch.nn.Parameter(torch.zeros(1))
+        optimiser = torch.optim.SGD([a, b], lr=1.0)
+        script(name).gradient_step(30 * a.sum() + 40 * b.sum(), optimiser, 10.0)  # gradient (30, 40), norm 50
+        assert float(a) == pytest.approx(-6, rel=1e-5) and float(b) == pytest.approx(-8, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+class TestCollect:
+    """The batch against a second environment that plays the same actions, one step at a time."""
+
+    @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
+    @pytest.mark.parametrize("individual", [False, True])
+    def test_batch_is_what_was_played(self, name, time_limit, individual):
+        module, task = script(name), "lbf-5x5-2p-1f"
+        args = module.Args(env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
+        env = envs.make(task, 20, seed=3, copy=False)
+        rng = torch.manual_seed(0)
+        agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
+        arrays = module.new_batch(args, env)
+        module.collect(args, env, agents, arrays, rng)  # leaves traces in the arrays that the second must not keep
+        batch = module.collect(args, env, agents, arrays, rng)
+
+        mirror = envs.make(task, 20, seed=3)
+        mirror.episode = 1
+        observations, info = mirror.reset()
+        ended, lengths = np.zeros(20, bool), np.zeros(20, int)
+        for t in range(len(batch.actions)):
+            np.testing.assert_array_equal(batch.observations[t], observations)
+            np.testing.assert_array_equal(batch.states[t], info["state"])
+            np.testing.assert_array_equal(batch.played[t], ~ended)
+            lengths += ~ended
+            observations, rewards, terminated, truncated, info = mirror.step(batch.actions[t].numpy())
+            np.testing.assert_array_equal(batch.rewards[t], info["agent_rewards"] if individual else rewards[:, None])
+            ended = terminated | truncated
+            np.testing.assert_array_equal(batch.terminated[t], ended if time_limit == "terminal" else terminated)
+        np.testing.assert_array_equal(batch.observations[-1], observations)
+        assert ended.all() and len(batch.observations) == lengths.max() + 1
+        assert terminated.any() and truncated.any()  # both kinds of end were seen
+        assert int(batch.played.sum()) == lengths.sum()
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("sharing", [True, False])
+@pytest.mark.parametrize("network", ["fc", "gru"])
+@pytest.mark.parametrize("individual", [False, True])
+def test_every_parameter_learns(monkeypatch, name, sharing, network, individual):
+    """After one update every parameter of actors and critics, of each agent's own networks too, has a gradient."""
+    if name == "coma" and individual:
+        pytest.skip("COMA refuses individual rewards")
+    flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
+    run = trained(monkeypatch, name, 1, reward_standardisation="batch", **flags)
+    for part in ("agents", "critic"):
+        for parameter_name, parameter in run.parts[part].named_parameters():
+            assert parameter.grad is not None and parameter.grad.abs().max() > 0, (part, parameter_name)
+    assert all(parameter.grad is None for parameter in run.parts["target_critic"].parameters())
+
+
+def slow_losses(module, name, args, parts, batch):
+    """Losses of the first update by loops over steps, environments and agents; fc networks that agents share."""
+    agents, critic = parts["agents"], parts["critic"]
+    steps, n_envs, n_agents = batch.actions.shape
+    view = batch.states.unsqueeze(2) if name in ("maa2c", "mappo") else batch.observations
+    values = critic(view)[0].squeeze(-1).detach()
+    returns = torch.zeros(steps, n_envs, n_agents)
+    critic_terms, actor_terms = [], []
+    probabilities = agents(batch.observations)[0].softmax(-1).detach()
+    for e in range(n_envs):
+        length = int(batch.played[:, e].sum())
+        for t in range(length):
+            for i in range(n_agents):
+                end = min(t + args.n_step, length)
+                total = sum(args.gamma ** (k - t) * float(batch.rewards[k, e, 0]) for k in range(t, end))
+                if not (end == length and batch.terminated[length - 1, e]):
+                    total += args.gamma ** (end - t) * float(values[end, e, i])
+                returns[t, e, i] = total
+                p = probabilities[t, e, i]
+                advantage = total - float(values[t, e, i])
+                entropy = -float((p * p.log()).sum())
+                critic_terms.append(advantage**2)
+                gain = advantage if "ppo" in name else advantage * math.log(float(p[batch.actions[t, e, i]]))
+                actor_terms.append(-(gain + args.entropy_coef * entropy))
+    return np.mean(critic_terms), np.mean(actor_terms)
+
+
+@pytest.mark.parametrize("name", [name for name in ON_POLICY if name != "coma"])
+def test_losses_of_the_first_update(monkeypatch, name):
+    """Against slow_losses, with the target critic still equal to the critic; a PPO ratio is 1 in the first epoch."""
+    module = script(name)
+    args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=4, seed=5)
+    if "ppo" in name:
+        args.update_epochs = 1
+    env = envs.make(args.env, 4, 5, copy=False)
+    rng = torch.manual_seed(5)
+    agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
+    critic = module.AgentNetworks(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
+    parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
+    parts["standardiser"] = module.RewardStandardiser("none")
+    for part in ("actor", "critic"):
+        parameters = (agents if part == "actor" else critic).parameters()
+        parts[f"{part}_optimiser"] = torch.optim.SGD(parameters, lr=0.0)
+    batch = module.collect(args, env, agents, module.new_batch(args, env), rng)
+    expected = slow_losses(module, name, args, parts, batch)
+    losses = module.update(args, parts, batch, 1)
+    assert float(losses["critic"]) == pytest.approx(expected[0], rel=1e-4)
+    assert float(losses["actor"]) == pytest.approx(expected[1], rel=1e-4)
+
+
+@pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
+def test_clipping_stops_the_gradient(monkeypatch, name):
+    """With a step that moves the policy far, later epochs see clipped ratios: the policy moves less than unclipped."""
+
+    def moved(clip_coef):
+        flags = {"hidden_dim": 16, "learning_rate": 0.05, "clip_coef": clip_coef, "update_epochs": 8}
+        run = trained(monkeypatch, name, 1, **flags)
+        torch.manual_seed(run.args.seed)
+        start = script(name).AgentNetworks(run.args, run.env.n_agents, run.env.obs_size, run.env.n_actions)
+        x = torch.zeros(1, 1, run.env.n_agents, run.env.obs_size)
+        return float((run.parts["agents"](x)[0].softmax(-1) - start(x)[0].softmax(-1)).abs().max())
+
+    assert moved(0.05) < moved(1000.0)
+
+
+class TestComa:
+    def test_inputs_hide_the_own_action(self):
+        states = torch.tensor([[[7.0, 8.0]]])  # [time 1, env 1, state 2]
+        actions = torch.tensor([[[1, 0, 2]]])  # [time 1, env 1, agent 3]
+        inputs = script("coma").counterfactual_inputs(states, actions, 3)
+        one_hots = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+        for agent in range(3):
+            others = [[0, 0, 0] if other == agent else one_hots[other] for other in range(3)]
+            assert inputs[0, 0, agent].tolist() == [7, 8, *(x for other in others for x in other)]
+
+    def test_advantage_by_brute_force_over_the_actions(self):
+        """A joint-action value table of two agents: the baseline sums over the own actions, the other's fixed."""
+        generator = torch.Generator().manual_seed(0)
+        n_actions = 3
+        table = torch.randn(n_actions, n_actions, generator=generator)  # value of the joint action
+        probs = torch.randn(2, n_actions, generator=generator).softmax(-1)  # [agent, action]
+        for first in range(n_actions):
+            for second in range(n_actions):
+                baseline_first = sum(float(probs[0, a] * table[a, second]) for a in range(n_actions))
+                baseline_second = sum(float(probs[1, a] * table[first, a]) for a in range(n_actions))
+                value = float(table[first, second])
+                values = torch.stack([table[:, second], table[first, :]])  # what each agent's critic gives
+                advantages = script("coma").counterfactual_advantages(
+                    values[None, None], probs[None, None], torch.tensor([[[first, second]]])
+                )
+                expected = [value - baseline_first, value - baseline_second]
+                assert advantages.flatten().tolist() == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+    def test_losses_of_the_first_update(self):
+        """One environment, one agent at a time, by loops: n-step returns of taken values, summed over the agents."""
+        module = script("coma")
+        args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=4, seed=5)
+        env = envs.make(args.env, 4, 5, copy=False)
+        rng = torch.manual_seed(5)
+        n, n_actions = env.n_agents, env.n_actions
+        agents = module.AgentNetworks(args, n, env.obs_size, n_actions)
+        critic = module.AgentNetworks(args, n, env.state_size + n * n_actions, n_actions)
+        parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
+        parts["standardiser"] = module.RewardStandardiser("none")
+        parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
+        parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
+        batch = module.collect(args, env, agents, module.new_batch(args, env), rng)
+        batch = batch._replace(
+            terminated=torch.ones_like(batch.terminated) & (batch.played.cumsum(0) == batch.played.sum(0))
+        )
+        losses = module.update(args, parts, batch, 1, rng)
+
+        probs = agents(batch.observations)[0].softmax(-1).detach()
+        critic_terms, actor_terms = [], []
+        for e in range(4):
+            length = int(batch.played[:, e].sum())
+            values = torch.zeros(length, n, n_actions)
+            for t in range(length):
+                for i in range(n):
+                    one_hots = torch.zeros(n, n_actions)
+                    for j in range(n):
+                        if j != i:
+                            one_hots[j, batch.actions[t, e, j]] = 1
+                    x = torch.cat([batch.states[t, e], one_hots.flatten()]).expand(1, 1, n, -1)
+                    values[t, i] = critic(x)[0][0, 0, i].detach()  # as agent i's critic sees it
+            for t in range(length):
+                squares = 0.0
+                for i in range(n):
+                    end = min(t + args.n_step, length)
+                    total = sum(args.gamma ** (k - t) * float(batch.rewards[k, e, 0]) for k in range(t, end))
+                    if end < length:
+                        total += args.gamma ** (end - t) * float(values[end, i, batch.actions[end, e, i]])
+                    action, p = int(batch.actions[t, e, i]), probs[t, e, i]
+                    squares += (total - float(values[t, i, action])) ** 2
+                    advantage = float(values[t, i, action] - (p * values[t, i]).sum())
+                    entropy = -float((p * p.log()).sum())
+                    actor_terms.append(-(advantage * math.log(float(p[action])) + args.entropy_coef * entropy))
+                critic_terms.append(squares)
+        assert float(losses["critic"]) == pytest.approx(np.mean(critic_terms), rel=1e-4)
+        assert float(losses["actor"]) == pytest.approx(np.mean(actor_terms), rel=1e-4)
