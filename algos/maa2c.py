@@ -374,10 +374,8 @@ class Run:
             self.restore(saved)
         (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
         if args.track:
-            import wandb
-
             name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
-            wandb.init(project="marl-baselines", id=name, config=vars(args), resume="allow", sync_tensorboard=True)
+            envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
         self.writer = SummaryWriter(str(self.directory), purge_step=self.timestep + 1 if saved else None)
         self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -475,7 +473,7 @@ def main() -> None:
         team = load(args.watch)
         env = envs.make(team.args.env, args.eval_episodes)
         print(evaluate(env, team, team.args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
-    except (envs.InputError, ModuleNotFoundError, filelock.Timeout) as error:
+    except (envs.InputError, filelock.Timeout) as error:
         print(f"{ALGORITHM}: {error}", file=sys.stderr)
         sys.exit(2)
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import importlib
 import os
+from types import ModuleType
 from typing import Any
 
 from envs.provenance import provenance
-from envs.tasks import Task, TaskError, task, task_names
-from envs.tasks import TaskError as InputError
+from envs.tasks import InputError, Task, task, task_names
 from envs.vector import VectorEnv
 
-__all__ = ["InputError", "Task", "TaskError", "VectorEnv", "film", "make", "provenance", "task", "task_names"]
+__all__ = ["InputError", "Task", "VectorEnv", "film", "make", "optional", "provenance", "task", "task_names"]
 
 
 def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:
@@ -26,12 +26,23 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
 
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
     copy: False lets `reset` and `step` return the same arrays each time and allocate nothing.
-    Raises TaskError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
+    Raises InputError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
     """
     described = task(name)
     module = importlib.import_module(f"envs.{described.module}")
     env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
     return env
+
+
+def optional(package: str, extra: str | None = None) -> ModuleType:
+    """Import a package that only an extra of ours brings along (by default one of the package's own name).
+
+    Raises InputError, naming the extra, where it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise InputError(f"{package} is not installed; pip install -e '.[{extra or package}]' does it.") from None
 
 
 def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:

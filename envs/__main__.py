@@ -10,7 +10,7 @@ HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", 
 
 
 def row(name: str) -> tuple[str, ...]:
-    """One line of the table. Raises TaskError for a name that is not a task."""
+    """One line of the table. Raises InputError for a name that is not a task."""
     task = envs.task(name)
     env = envs.make(name)
     sizes = (env.n_agents, env.obs_size, env.state_size, env.n_actions, env.episode_limit)
@@ -21,7 +21,7 @@ def main(names: list[str]) -> int:
     """Print the table; returns the exit code."""
     try:
         table = [HEADER, *(row(name) for name in names or envs.task_names())]
-    except envs.TaskError as error:
+    except envs.InputError as error:
         print(error, file=sys.stderr)
         return 2
     widths = [max(len(line[column]) for line in table) for column in range(len(HEADER))]

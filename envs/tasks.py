@@ -4,7 +4,7 @@
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
 
 A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
-form, or raises TaskError where it has the form but no game can be played. `PARSERS` lists them.
+form, or raises InputError where it has the form but no game can be played. `PARSERS` lists them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
-class TaskError(ValueError):
-    """A task name that is unknown, or that no game can be made of; the message is one sentence for the user."""
+class InputError(ValueError):
+    """What the user asked for cannot be done, as an unknown task; the message is one sentence for them."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ def task_names() -> list[str]:
 
 
 def task(name: str) -> Task:
-    """The task of that name. TaskError: the name is unknown (the message has the nearest ones) or impossible."""
+    """The task of that name. InputError: the name is unknown (the message has the nearest ones) or impossible."""
     for parse in PARSERS:
         found = parse(name)
         if found is not None:
             return found
     nearest = difflib.get_close_matches(name, PAPER_TASKS, n=3, cutoff=0.0)
-    raise TaskError(f"unknown task {name!r}; the nearest are {', '.join(nearest)}.")
+    raise InputError(f"unknown task {name!r}; the nearest are {', '.join(nearest)}.")
 
 
 NUMBER = "(0|[1-9][0-9]*)"
@@ -81,7 +81,7 @@ def parse_matrix(name: str) -> Task | None:
         return None
     penalty = None if match[1] is None else int(match[1])
     if penalty is not None and penalty > 2**24:
-        raise TaskError(f"{name}: the penalty is larger than 2^24, up to which a 32-bit reward is exact.")
+        raise InputError(f"{name}: the penalty is larger than 2^24, up to which a 32-bit reward is exact.")
     return Task(name, "matrix", 2_500_000, 250_000, 101, "matrix", {"penalty": penalty})
 
 
@@ -92,16 +92,16 @@ def parse_lbf(name: str) -> Task | None:
         return None
     rows, columns, n_agents, n_foods = (int(match[i]) for i in range(1, 5))
     if n_agents == 0 or n_foods == 0:
-        raise TaskError(f"{name}: the game needs at least one agent and one food.")
+        raise InputError(f"{name}: the game needs at least one agent and one food.")
     if rows < 3 or columns < 3:
-        raise TaskError(f"{name}: foods lie off the border, so a board has at least 3 rows and 3 columns.")
+        raise InputError(f"{name}: foods lie off the border, so a board has at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:
-        raise TaskError(f"{name}: {n_agents} agents may leave no cell off the border free for a food.")
+        raise InputError(f"{name}: {n_agents} agents may leave no cell off the border free for a food.")
     if max(rows, columns) > 2**24:
-        raise TaskError(f"{name}: a side is longer than 2^24, up to which 32-bit observations are exact.")
+        raise InputError(f"{name}: a side is longer than 2^24, up to which 32-bit observations are exact.")
     room = max(room_for_foods(rows, columns, n_foods), room_for_foods(columns, rows, n_foods))
     if room < n_foods:
-        raise TaskError(
+        raise InputError(
             f"{name}: foods lie off the border and at least three steps apart; a {rows}x{columns} board is played with "
             f"up to {room}, not {n_foods}."
         )

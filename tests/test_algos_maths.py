@@ -131,7 +131,7 @@ class TestPolicies:
         entropy = -(log_probs.exp() * log_probs).sum()
         torch.testing.assert_close(entropy, -(expected.exp() * expected).sum())
         entropy.backward()
-        assert torch.isfinite(logits.grad).all() and logits.grad[0, 1] == 0
+        assert logits.grad is not None and torch.isfinite(logits.grad).all() and logits.grad[0, 1] == 0
 
     def test_samples_follow_the_softmax_and_the_mask(self, name):
         logits = torch.tensor([0.0, 1.0, 5.0, 2.0]).expand(40_000, 4)

@@ -47,7 +47,7 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
     name = f"lbf-{rows}x{columns}-{agents}p-{foods}f{suffix}"
     try:
         task = envs.task(name)
-    except envs.TaskError as error:
+    except envs.InputError as error:
         assert str(error).startswith(f"{name}: ") and str(error).endswith(".")
         crowded = (rows - 2) * (columns - 2) <= agents or 9 * foods > rows * columns
         assert agents == 0 or foods == 0 or crowded
@@ -78,9 +78,9 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
     ],
 )
 def test_impossible_sizes(name: str, why: str) -> None:
-    with pytest.raises(envs.TaskError, match=why):
+    with pytest.raises(envs.InputError, match=why):
         envs.task(name)
-    with pytest.raises(envs.TaskError, match=why):
+    with pytest.raises(envs.InputError, match=why):
         envs.make(name)
 
 
@@ -109,7 +109,7 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
     ],
 )
 def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
-    with pytest.raises(envs.TaskError, match="unknown task") as error:
+    with pytest.raises(envs.InputError, match="unknown task") as error:
         envs.make(name)
     assert nearest in str(error.value) and "\n" not in str(error.value)
     assert isinstance(error.value, ValueError)
@@ -119,7 +119,7 @@ def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
 def test_any_text_is_a_task_or_a_clear_error(name: str) -> None:
     try:
         assert envs.task(name).name == name
-    except envs.TaskError as error:
+    except envs.InputError as error:
         assert "\n" not in str(error)
 
 

@@ -1,0 +1,347 @@
+"""Whole runs of the scripts: determinism, resuming, wrong input, learning, what a run leaves behind."""
+
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+import torch
+from scripts import NAMES, ON_POLICY, ROOT, envs, script
+
+SHORT = ["--env", "lbf-5x5-2p-1f", "--total-timesteps", "12000", "--eval-points", "7", "--eval-episodes", "20"]
+SHORT += ["--hidden-dim", "32", "--reward-standardisation", "running", "--network", "gru"]
+WRITTEN = ["checkpoint.previous.pt", "checkpoint.pt", "config.json", "evaluations.csv"]
+
+
+def command(name, *flags):
+    return [sys.executable, str(ROOT / "algos" / f"{name}.py"), *map(str, flags)]
+
+
+def run(name, *flags, cwd=None):
+    return subprocess.run(command(name, *flags), capture_output=True, text=True, timeout=300, cwd=cwd)
+
+
+def evaluations(directory):
+    """The rows of evaluations.csv without the two columns of seconds."""
+    with open(directory / "evaluations.csv") as file:
+        rows = list(csv.DictReader(file))
+    return [{key: value for key, value in row.items() if not key.endswith("seconds")} for row in rows]
+
+
+def main(monkeypatch, capsys, name, *flags):
+    """A script's main in this process: its exit code, and what it says on stderr."""
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, flags)])
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    code: object = 0
+    try:
+        script(name).main()
+    except SystemExit as end:
+        code = end.code
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return code, capsys.readouterr().err
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def finished(request, tmp_path_factory):
+    """A short run of each script, never interrupted: its name and directory."""
+    directory = tmp_path_factory.mktemp(request.param) / "run"
+    done = run(request.param, *SHORT, "--run-dir", directory)
+    assert done.returncode == 0, done.stderr
+    return request.param, directory
+
+
+def test_what_a_run_leaves(finished):
+    _name, directory = finished
+    names = sorted(path.name for path in directory.iterdir())
+    events = [name for name in names if name.startswith("events.out.tfevents")]
+    assert sorted({*WRITTEN, "lock"}) == sorted(set(names) - set(events)) and len(events) == 1
+    rows = evaluations(directory)
+    assert [int(row["point"]) for row in rows] == list(range(7))
+    for row in rows:  # due at the first end of a batch (10 episodes of at most 50 steps) at or after its point
+        due = int(row["point"]) * 2000
+        assert due <= int(row["timestep"]) < due + 500
+    config = json.loads((directory / "config.json").read_text())
+    assert config["flags"]["env"] == "lbf-5x5-2p-1f" and config["versions"]["torch"] == torch.__version__
+    assert set(config) == {"flags", "command", "python", "versions", "commit", "machine"}
+
+
+def test_same_seed_same_file(finished, tmp_path):
+    name, directory = finished
+    assert run(name, *SHORT, "--run-dir", tmp_path / "again").returncode == 0
+    assert evaluations(tmp_path / "again") == evaluations(directory)
+
+
+def test_another_seed_another_file(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    few = [*SHORT, "--total-timesteps", "2000", "--eval-points", "2"]
+    assert main(monkeypatch, capsys, name, *few, "--seed", 1, "--run-dir", tmp_path / "other")[0] == 0
+    assert evaluations(tmp_path / "other")[0] != evaluations(directory)[0]
+
+
+def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
+    """kill -9 at three random moments of the training."""
+    name, directory = finished
+    moments, kills = random.Random(name), 0
+    while kills < 3:
+        process = subprocess.Popen(command(name, *SHORT, "--run-dir", tmp_path / "run", "--resume"))
+        written = time.monotonic()
+        while process.poll() is None and not (tmp_path / "run" / "checkpoint.pt").exists():
+            time.sleep(0.02)  # the first start: killed while it trains, not while it imports
+        time.sleep(moments.uniform(0.1, 1.0) + (4 if kills else 0))
+        if process.poll() is not None:
+            break  # this machine was fast: the run is complete
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        kills += 1
+        assert time.monotonic() - written < 120
+    done = run(name, *SHORT, "--run-dir", tmp_path / "run", "--resume")
+    assert done.returncode == 0, done.stderr
+    assert kills > 0
+    assert evaluations(tmp_path / "run") == evaluations(directory)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_with_a_checkpoint(number, tmp_path):
+    longer = [*SHORT, "--total-timesteps", "100000000", "--eval-points", "2"]
+    process = subprocess.Popen(
+        command("mappo", *longer, "--run-dir", tmp_path / "run"), stderr=subprocess.PIPE, text=True
+    )
+    while not (tmp_path / "run" / "checkpoint.pt").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    time.sleep(1)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1 and "--resume goes on" in said
+    assert script("mappo").read_checkpoint(tmp_path / "run")["progress"][3] > 0  # timesteps
+    assert len(evaluations(tmp_path / "run")) == 1
+
+
+def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch, capsys, tmp_path):
+    """As after Ctrl-C: a checkpoint between two evaluations, made when the third batch has been learned from."""
+    name, directory = finished
+    module, advance = script(name), script(name).Run.advance
+
+    def stop_at_three(self, steps, losses):
+        advance(self, steps, losses)
+        if self.updates == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(module.Run, "advance", stop_at_three)
+    code, _ = main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run")
+    assert "--resume goes on" in code
+    monkeypatch.setattr(module.Run, "advance", advance)
+    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert evaluations(tmp_path / "run") == evaluations(directory)
+
+
+def copy_of(directory, target):
+    target.mkdir()
+    for name in WRITTEN:
+        (target / name).write_bytes((directory / name).read_bytes())
+    return target
+
+
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    damaged = copy_of(directory, tmp_path / "run")
+    whole = (damaged / "checkpoint.pt").read_bytes()
+    (damaged / "checkpoint.pt").write_bytes(whole[: len(whole) // 2])
+    code, said = main(monkeypatch, capsys, name, *SHORT, "--run-dir", damaged, "--resume")
+    assert code == 0 and "checkpoint.pt is damaged" in said
+    assert evaluations(damaged) == evaluations(directory)
+
+
+def test_nothing_but_damaged_checkpoints_is_refused(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    damaged = copy_of(directory, tmp_path / "run")
+    for file in ("checkpoint.pt", "checkpoint.previous.pt"):
+        whole = (damaged / file).read_bytes()
+        (damaged / file).write_bytes(whole[: len(whole) // 2])
+    code, said = main(monkeypatch, capsys, name, *SHORT, "--run-dir", damaged, "--resume")
+    assert code == 2 and "no checkpoint of it that can be used" in said
+    assert evaluations(damaged) == evaluations(directory)
+
+
+def test_a_longer_run_continues_a_complete_one(finished, monkeypatch, capsys, tmp_path):
+    """More timesteps on resume: what was there stays, and evaluations go on at the same distance."""
+    name, directory = finished
+    longer = copy_of(directory, tmp_path / "run")
+    flags = [*SHORT, "--total-timesteps", "16000", "--run-dir", longer, "--resume"]
+    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+    rows = evaluations(longer)
+    assert rows[:7] == evaluations(directory)
+    assert [int(row["timestep"]) // 2000 for row in rows] == list(range(9))
+
+
+class TestWrongInput:
+    def refused(self, monkeypatch, capsys, *flags, name="mappo"):
+        code, said = main(monkeypatch, capsys, name, *flags)
+        assert code == 2
+        return said
+
+    def one_sentence(self, said):
+        assert len(said.strip().splitlines()) == 1
+        return said
+
+    def test_unknown_task_offers_the_nearest(self, monkeypatch, capsys):
+        said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "lbf-15x15-3p-5"))
+        assert "lbf-15x15-3p-5f" in said
+
+    @pytest.mark.parametrize("env", ["lbf-2x2-9p-9f", "lbf-8x8-0p-2f", "matrix-penalty-x"])
+    def test_impossible_sizes(self, monkeypatch, capsys, env):
+        assert env in self.one_sentence(self.refused(monkeypatch, capsys, "--env", env))
+
+    @pytest.mark.parametrize("flags", [["--network", "lstm"], ["--no-such-flag", "1"], ["--seed", "one"]])
+    def test_what_the_flags_do_not_allow(self, monkeypatch, capsys, flags):
+        assert flags[0] in self.refused(monkeypatch, capsys, "--env", "matrix-climbing", *flags)
+
+    @pytest.mark.parametrize(
+        "flag",
+        [
+            "total-timesteps",
+            "num-envs",
+            "n-step",
+            "hidden-dim",
+            "eval-points",
+            "eval-episodes",
+            "threads",
+            "seed",
+            "learning-rate",
+            "gamma",
+            "max-grad-norm",
+            "entropy-coef",
+            "clip-coef",
+        ],
+    )
+    def test_negative_numbers(self, monkeypatch, capsys, flag):
+        said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "matrix-climbing", f"--{flag}", "-1"))
+        assert f"--{flag}" in said
+
+    @pytest.mark.parametrize("flag", ["total-timesteps", "num-envs", "n-step", "hidden-dim", "threads"])
+    def test_zero_where_it_makes_no_sense(self, monkeypatch, capsys, flag):
+        assert f"--{flag}" in self.refused(monkeypatch, capsys, "--env", "matrix-climbing", f"--{flag}", "0")
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
+    def test_no_cuda(self, monkeypatch, capsys):
+        assert "CUDA" in self.one_sentence(self.refused(monkeypatch, capsys, "--device", "cuda"))
+
+    def test_watching_nothing(self, monkeypatch, capsys, tmp_path):
+        self.one_sentence(self.refused(monkeypatch, capsys, "--watch", tmp_path))
+
+    def test_tracking_without_wandb(self, monkeypatch, capsys, tmp_path):
+        monkeypatch.setitem(sys.modules, "wandb", None)
+        said = self.refused(monkeypatch, capsys, *SHORT, "--track", "--run-dir", tmp_path / "run")
+        assert "wandb" in self.one_sentence(said)
+
+    def test_a_directory_that_holds_a_run(self, finished, monkeypatch, capsys):
+        name, directory = finished
+        before = {path.name: path.read_bytes() for path in directory.iterdir()}
+        said = self.refused(monkeypatch, capsys, *SHORT, "--run-dir", directory, name=name)
+        assert "--resume" in self.one_sentence(said)
+        assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
+
+    def test_a_directory_that_holds_something_else(self, monkeypatch, capsys, tmp_path):
+        (tmp_path / "config.json").write_text("mine")
+        self.one_sentence(self.refused(monkeypatch, capsys, *SHORT, "--run-dir", tmp_path))
+        assert (tmp_path / "config.json").read_text() == "mine"
+
+    def test_a_directory_in_use(self, finished, monkeypatch, capsys):
+        name, directory = finished
+        with script(name).filelock.FileLock(directory / "lock"):
+            said = self.refused(monkeypatch, capsys, *SHORT, "--run-dir", directory, "--resume", name=name)
+        assert str(directory) in self.one_sentence(said)
+
+    def test_resume_with_other_flags(self, finished, monkeypatch, capsys):
+        name, directory = finished
+        flags = [*SHORT, "--gamma", "0.5", "--run-dir", directory, "--resume"]
+        assert "--gamma 0.99" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
+
+    def test_resume_with_fewer_timesteps(self, finished, monkeypatch, capsys):
+        name, directory = finished
+        flags = [*SHORT, "--total-timesteps", "500", "--run-dir", directory, "--resume"]
+        assert "--total-timesteps" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
+
+    def test_resume_of_another_algorithm(self, finished, monkeypatch, capsys):
+        name, directory = finished
+        other = "ippo" if name != "ippo" else "ia2c"
+        flags = [*SHORT, "--run-dir", directory, "--resume"]
+        assert name in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=other))
+
+    def test_coma_refuses_individual_rewards(self, monkeypatch, capsys, tmp_path):
+        flags = [*SHORT, "--individual-rewards", "--run-dir", tmp_path / "run"]
+        assert "joint" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name="coma"))
+
+    def test_a_loss_that_is_no_number_stops_the_run(self, monkeypatch, capsys, tmp_path):
+        flags = [*SHORT, "--learning-rate", "1e30", "--run-dir", tmp_path / "run"]
+        code, _ = main(monkeypatch, capsys, "mappo", *flags)
+        assert "loss is" in code and "step" in code
+
+
+def test_default_directory_names_what_is_not_default(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    flags = ["--env", "matrix-penalty-25", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
+    changed = ["--no-parameter-sharing", "--n-step", "3", "--individual-rewards"]
+    assert main(monkeypatch, capsys, "mappo", *flags, *changed, "--seed", 7)[0] == 0
+    expected = "runs/matrix-penalty-25/mappo-independent-n-step=3-individual-rewards=True/seed7"
+    assert (tmp_path / expected / "evaluations.csv").exists()
+
+
+def test_load_from_anywhere_and_watch(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    program = f"""
+        import sys
+        sys.path.append({str(ROOT / "algos")!r})
+        import envs, {name}
+        team = {name}.load({str(directory)!r})
+        env = envs.make("lbf-5x5-2p-1f", 4)
+        observations, info = env.reset()
+        print(team.act(observations, info).shape)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.stdout.strip() == "(4, 2)", done.stderr
+
+    copy = copy_of(directory, tmp_path / "run")
+    assert main(monkeypatch, capsys, name, "--watch", copy, "--eval-episodes", 3)[0] == 0
+    from PIL import Image
+
+    with Image.open(copy / "film.gif") as film:
+        assert getattr(film, "n_frames", 1) > 3
+
+
+def test_the_loaded_team_plays_like_the_last_evaluation(finished):
+    """Same networks, environment and seeds: the loaded team's return is the last row of evaluations.csv."""
+    name, directory = finished
+    module, last = script(name), evaluations(directory)[-1]
+    seed = int(np.random.SeedSequence([0, int(last["point"])]).generate_state(1)[0])
+    torch.set_num_threads(1)
+    results = module.evaluate(envs.make("lbf-5x5-2p-1f", 20), module.load(directory, seed), seed)
+    assert {key: str(value) for key, value in results.items()} == {key: last[key] for key in results}
+
+
+def test_scripts_run_from_any_folder(tmp_path):
+    flags = ["--env", "matrix-climbing", "--total-timesteps", "300", "--eval-points", "2", "--eval-episodes", "2"]
+    done = run("mappo", *flags, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "runs/matrix-climbing/mappo-shared/seed0/evaluations.csv").exists()
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_learns_the_penalty_game(name, seed, tmp_path, monkeypatch, capsys):
+    """k = 0: every equilibrium that pays 10 a step is found, 250 an episode; random play earns 61."""
+    flags = ["--env", "matrix-penalty-0", "--seed", seed, "--total-timesteps", "150000", "--eval-points", "2"]
+    assert main(monkeypatch, capsys, name, *flags, "--run-dir", tmp_path / "run")[0] == 0
+    rows = evaluations(tmp_path / "run")
+    assert float(rows[0]["return_mean"]) < 150 and float(rows[1]["return_mean"]) > 240
