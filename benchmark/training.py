@@ -1,0 +1,161 @@
+"""Training steps per second, on one thread, beside the reference passes measured in the same run.
+
+    taskset -c 0 python benchmark/training.py [--algos mappo ...] [--env lbf-15x15-3p-5f] [--seconds 20] [-- <flags>]
+
+The loop is the script's own `train`, without evaluations and files. Reference passes: what plain PyTorch needs for the
+networks alone - forward and backward of each trained network on random inputs of a batch's size, as often as the
+algorithm passes over a batch, and the target network's forward; no optimiser, no loss but a mean square. Loop and
+passes take turns, so that a noisy machine treats them alike. The parts of the loop are timed in it.
+"""
+
+import argparse
+import importlib.util
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import nn
+
+ALGOS = Path(__file__).resolve().parent.parent / "algos"
+
+
+class Plain(nn.Module):
+    """The networks of one algorithm in their plainest form: Linear - ReLU - (GRU or Linear - ReLU) - Linear."""
+
+    def __init__(self, inputs: int, hidden: int, outputs: int, core: str):
+        super().__init__()
+        self.first, self.last = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
+        self.core = nn.GRU(hidden, hidden) if core == "gru" else nn.Linear(hidden, hidden)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """[time, row, input] -> [time, row, output]"""
+        x = torch.relu(self.first(x))
+        x = self.core(x)[0] if isinstance(self.core, nn.GRU) else torch.relu(self.core(x))
+        return self.last(x)
+
+
+def load_script(name: str) -> ModuleType:
+    """algos/<name>.py as a module."""
+    spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def reference_passes(name: str, args: Any, env: Any) -> Callable[[], None]:
+    """One batch of an on-policy algorithm: ten whole episodes, all of them as long as the time limit."""
+    steps, copies = env.episode_limit, 1 if args.parameter_sharing else env.n_agents
+    ids = env.n_agents if args.parameter_sharing else 0
+    rows = env.num_envs * env.n_agents // copies
+    view = env.state_size if name in ("coma", "maa2c", "mappo") else env.obs_size
+    view += env.n_agents * env.n_actions if name == "coma" else 0
+    values = env.n_actions if name == "coma" else 1
+    epochs = getattr(args, "update_epochs", 1)
+    actor_x, critic_x = torch.randn(steps, rows, env.obs_size + ids), torch.randn(steps, rows, view + ids)
+    actors = [Plain(env.obs_size + ids, args.hidden_dim, env.n_actions, args.network) for _ in range(copies)]
+    critics = [Plain(view + ids, args.hidden_dim, values, "fc") for _ in range(copies)]
+
+    def passes() -> None:
+        with torch.no_grad():
+            for critic in critics:
+                critic(critic_x)
+        for _ in range(epochs):
+            for network, x in [*((actor, actor_x) for actor in actors), *((critic, critic_x) for critic in critics)]:
+                network.zero_grad()
+                network(x).square().mean().backward()
+
+    return passes
+
+
+class Clock:
+    """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
+
+    def __init__(self, name: str, seconds: float):
+        self.name, self.seconds = name, seconds
+        self.rates: list[float] = []
+        self.reference_rates: list[float] = []
+        self.updates, self.started = 0, 0.0
+
+    def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
+        self.env, self.passes = env, reference_passes(self.name, args, env)
+        self.end = time.perf_counter() + self.seconds
+        return self
+
+    def goes_on(self) -> bool:
+        self.started = time.perf_counter()
+        return self.started < self.end
+
+    def advance(self, steps: int, losses: Any) -> None:
+        self.updates += 1
+        between = time.perf_counter()
+        self.passes()
+        passed = time.perf_counter()
+        if self.updates > 5:  # the first batches warm up
+            self.rates.append(steps / (between - self.started))
+            self.reference_rates.append(self.env.num_envs * self.env.episode_limit / (passed - between))
+
+
+def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Callable:
+    """The function, noting how long each call takes."""
+
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        start = time.perf_counter()
+        result = function(*args, **kwargs)
+        seconds[name].append(time.perf_counter() - start)
+        return result
+
+    return wrapper
+
+
+def measure(name: str, flags: list[str], seconds: float) -> None:
+    """Prints one line: medians over batches."""
+    module: Any = load_script(name)
+    args = module.parse(flags)
+    torch.set_num_threads(1)
+    clock = Clock(name, seconds)
+    parts: dict[str, list[float]] = defaultdict(list)
+    module.Run = clock
+    module.collect, module.update = timed(module.collect, parts, "acting"), timed(module.update, parts, "update")
+    make = module.envs.make
+
+    def make_timed(*args: Any, **kwargs: Any) -> Any:
+        env = make(*args, **kwargs)
+        env.step = timed(env.step, parts, "step")
+        return env
+
+    module.envs.make = make_timed
+    module.train(args)
+    module.envs.make = make
+    rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
+    acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])
+    stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])
+    whole = acting + update
+    setting = f"{name} {args.network} {args.hidden_dim} {'shared' if args.parameter_sharing else 'independent'}"
+    print(
+        f"{setting:32s} {rate:8,.0f} steps/s, reference passes {reference:8,.0f}, share {rate / reference:.2f}; "
+        f"of the loop: update {update / whole:.0%}, acting {(acting - stepping) / whole:.0%}, "
+        f"stepping {stepping / whole:.0%}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """See the module's docstring."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--algos", nargs="+", default=["mappo"])
+    parser.add_argument("--env", default="lbf-15x15-3p-5f")
+    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
+    chosen = parser.parse_args()
+    for name in chosen.algos:
+        measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
+
+
+if __name__ == "__main__":
+    main()
