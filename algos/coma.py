@@ -160,7 +160,7 @@ def n_step_returns(rewards: Tensor, values: Tensor, played: Tensor, terminated: 
 
 def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
     """log pi(. | o), [..., action]; finite, so that an entropy is, where the probability of a masked action is 0."""
-    return torch.log_softmax(logits.masked_fill(~action_masks, torch.finfo(logits.dtype).min), dim=-1)
+    return torch.log_softmax(torch.where(action_masks, logits, torch.finfo(logits.dtype).min), dim=-1)
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
@@ -183,11 +183,34 @@ def counterfactual_advantages(values: Tensor, probs: Tensor, actions: Tensor) ->
 
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions (the Gumbel-max trick): [..., action] -> [...]"""
-    gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_()
-    return (logits + gumbel.to(logits.device)).masked_fill(~action_masks, -torch.inf).argmax(-1)
+    minus_gumbel = torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
+    return torch.where(action_masks, logits - minus_gumbel, -torch.inf).argmax(-1)
 
 
 # --- experience ---
+class SamplingTeam:
+    """Agents at play, drawing actions from their policies."""
+
+    def __init__(self, args: Args, agents: AgentNetworks, rng: torch.Generator):
+        self.args, self.agents, self.rng = args, agents, rng
+        self.reset()
+
+    def reset(self) -> None:
+        """To be called before each episode: forgets the last one."""
+        self.hidden: list | None = None
+
+    @torch.inference_mode()
+    def act(self, observations: np.ndarray, info: dict) -> np.ndarray:
+        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action]. Returns actions, [env, agent]."""
+        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)
+        outputs, self.hidden = self.agents(inputs, self.hidden)
+        action_masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
+        return sample_actions(outputs[0], action_masks, self.rng).cpu().numpy()
+
+
+Team = SamplingTeam  # the name by which the code that is the same in all scripts knows it
+
+
 class Batch(NamedTuple):
     """One episode of each sub-environment; the first three have one row more than steps, for what follows the last."""
 
@@ -215,18 +238,17 @@ def new_batch(args: Args, env: Any) -> Batch:
     )
 
 
-@torch.inference_mode()
-def collect(args: Args, env: Any, agents: AgentNetworks, batch: Batch, rng: torch.Generator) -> Batch:
+def collect(args: Args, env: Any, team: Team, batch: Batch) -> Batch:
     """Plays one whole episode in each sub-environment. Returns the batch, cut to the longest of them."""
     observations, states, action_masks, actions, rewards, played, terminated = (x.numpy() for x in batch)
     observations[0], info = env.reset()
-    ended, hidden, t = np.zeros(env.num_envs, dtype=bool), None, 0
+    team.reset()
+    ended, t = np.zeros(env.num_envs, dtype=bool), 0
     while True:
         states[t], action_masks[t] = info["state"], info["action_mask"]
         if ended.all():
             return Batch(*(x[: t + len(x) - env.episode_limit].to(args.device) for x in batch))
-        logits, hidden = agents(batch.observations[t : t + 1].to(args.device), hidden)
-        batch.actions[t] = sample_actions(logits[0], batch.action_masks[t].to(args.device), rng)
+        actions[t] = team.act(observations[t], info)
         played[t] = ~ended
         observations[t + 1], team_rewards, real_end, time_out, info = env.step(actions[t])
         rewards[t] = info["agent_rewards"] if args.individual_rewards else team_rewards[:, None]
@@ -281,29 +303,6 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int, rng: t
 
 
 # --- evaluation ---
-class SamplingTeam:
-    """Trained agents at play, drawing actions from their policies."""
-
-    def __init__(self, args: Args, agents: AgentNetworks, seed: int):
-        self.args, self.agents, self.rng = args, agents, torch.Generator().manual_seed(seed)
-        self.reset()
-
-    def reset(self) -> None:
-        """To be called before each episode: forgets the last one."""
-        self.hidden: list | None = None
-
-    @torch.inference_mode()
-    def act(self, observations: np.ndarray, info: dict) -> np.ndarray:
-        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action]. Returns actions, [env, agent]."""
-        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)
-        outputs, self.hidden = self.agents(inputs, self.hidden)
-        action_masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
-        return sample_actions(outputs[0], action_masks, self.rng).cpu().numpy()
-
-
-Team = SamplingTeam  # by this name the code below, the same in all nine scripts, knows it
-
-
 def evaluate(env: Any, team: Team, seed: int) -> dict[str, float]:
     """Plays one episode in each sub-environment, all of them drawn from the seed."""
     observations, info = env.reset(seed=seed)
@@ -365,7 +364,7 @@ def load(run_dir: str | Path, seed: int = 0) -> Team:
     args = Args(**saved["flags"] | {"device": "cpu"})
     agents = AgentNetworks(args, *saved["sizes"])
     agents.load_state_dict(saved["parts"]["agents"])
-    return Team(args, agents, seed)
+    return Team(args, agents, torch.Generator().manual_seed(seed))
 
 
 class Run:
@@ -430,7 +429,8 @@ class Run:
         reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
         while (point := len(self.rows)) * self.budget <= reached:
             seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
-            results = evaluate(self.eval_env, Team(self.args, self.parts["agents"], seed), seed)
+            team = Team(self.args, self.parts["agents"], torch.Generator().manual_seed(seed))
+            results = evaluate(self.eval_env, team, seed)
             row = {"point": point, "timestep": self.timestep, "wall_seconds": self.wall, "cpu_seconds": self.cpu}
             self.rows.append(row | results)
             self.writer.add_scalar("evaluation/return_mean", results["return_mean"], self.timestep)
@@ -473,10 +473,10 @@ def train(args: Args) -> None:
         "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
-    arrays = new_batch(args, env)
+    team, arrays = Team(args, agents, rng), new_batch(args, env)
     run = Run(args, env, parts, rng)
     while run.goes_on():
-        batch = collect(args, env, agents, arrays, rng)
+        batch = collect(args, env, team, arrays)
         losses = update(args, parts, batch, run.updates + 1, rng)
         run.advance(int(batch.played.sum()), losses)
 

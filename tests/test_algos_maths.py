@@ -216,9 +216,9 @@ class TestCollect:
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
         agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
-        arrays = module.new_batch(args, env)
-        module.collect(args, env, agents, arrays, rng)  # leaves traces in the arrays that the second must not keep
-        batch = module.collect(args, env, agents, arrays, rng)
+        team, arrays = module.Team(args, agents, rng), module.new_batch(args, env)
+        module.collect(args, env, team, arrays)  # leaves traces in the arrays that the second must not keep
+        batch = module.collect(args, env, team, arrays)
 
         mirror = envs.make(task, 20, seed=3)
         mirror.episode = 1
@@ -298,7 +298,7 @@ def test_losses_of_the_first_update(monkeypatch, name):
     for part in ("actor", "critic"):
         parameters = (agents if part == "actor" else critic).parameters()
         parts[f"{part}_optimiser"] = torch.optim.SGD(parameters, lr=0.0)
-    batch = module.collect(args, env, agents, module.new_batch(args, env), rng)
+    batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
     expected = slow_losses(module, name, args, parts, batch)
     losses = module.update(args, parts, batch, 1)
     assert float(losses["critic"]) == pytest.approx(expected[0], rel=1e-4)
@@ -361,7 +361,7 @@ class TestComa:
         parts["standardiser"] = module.RewardStandardiser("none")
         parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch = module.collect(args, env, agents, module.new_batch(args, env), rng)
+        batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
         batch = batch._replace(
             terminated=torch.ones_like(batch.terminated) & (batch.played.cumsum(0) == batch.played.sum(0))
         )
