@@ -28,7 +28,8 @@ import time
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import filelock
 import numpy as np
@@ -200,49 +201,38 @@ class SamplingTeam:
 Team = SamplingTeam  # the name by which the code that is the same in all scripts knows it
 
 
-class Batch(NamedTuple):
-    """One episode of each sub-environment; the first three have one row more than steps, for what follows the last."""
-
-    observations: Tensor  # [time + 1, env, agent, obs]
-    states: Tensor  # [time + 1, env, state]
-    action_masks: Tensor  # [time + 1, env, agent, action] bool
-    actions: Tensor  # [time, env, agent] int64
-    rewards: Tensor  # [time, env, 1 or agent], the team's or each agent's
-    played: Tensor  # [time, env] bool, False once the episode has ended
-    terminated: Tensor  # [time, env] bool, True from an end on after which the value is zero
-
-
-def new_batch(args: Args, env: Any) -> Batch:
-    """Arrays for the longest episodes, which `collect` fills again and again."""
+def new_batch(args: Args, env: Any) -> SimpleNamespace:
+    """Arrays for one episode of each sub-environment. Three have a row more than steps, for what follows the last."""
     steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
     observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
-    return Batch(
-        observations,
-        observations.flatten(2) if env.state_is_observations else torch.zeros(steps + 1, n_envs, env.state_size),
-        torch.zeros(steps + 1, n_envs, n_agents, env.n_actions, dtype=torch.bool),
-        torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),
-        torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),
-        torch.zeros(steps, n_envs, dtype=torch.bool),
-        torch.zeros(steps, n_envs, dtype=torch.bool),
+    return SimpleNamespace(
+        observations=observations,  # [time + 1, env, agent, obs]
+        states=observations.flatten(2) if env.state_is_observations else torch.zeros(steps + 1, n_envs, env.state_size),
+        action_masks=torch.zeros(steps + 1, n_envs, n_agents, env.n_actions, dtype=torch.bool),
+        actions=torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),  # [time, env, agent]
+        rewards=torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),  # the team's, or each agent's
+        played=torch.zeros(steps, n_envs, dtype=torch.bool),  # False once the episode has ended
+        terminated=torch.zeros(steps, n_envs, dtype=torch.bool),  # True from an end on after which the value is zero
     )
 
 
-def collect(args: Args, env: Any, team: Team, batch: Batch) -> Batch:
+def collect(args: Args, env: Any, team: Team, batch: SimpleNamespace) -> SimpleNamespace:
     """Plays one whole episode in each sub-environment. Returns the batch, cut to the longest of them."""
-    observations, states, action_masks, actions, rewards, played, terminated = (x.numpy() for x in batch)
-    observations[0], info = env.reset()
+    arrays = SimpleNamespace(**{name: x.numpy() for name, x in vars(batch).items()})
+    arrays.observations[0], info = env.reset()
     team.reset()
     ended, t = np.zeros(env.num_envs, dtype=bool), 0
     while True:
-        states[t], action_masks[t] = info["state"], info["action_mask"]
+        arrays.states[t], arrays.action_masks[t] = info["state"], info["action_mask"]
         if ended.all():
-            return Batch(*(x[: t + len(x) - env.episode_limit].to(args.device) for x in batch))
-        actions[t] = team.act(observations[t], info)
-        played[t] = ~ended
-        observations[t + 1], team_rewards, real_end, time_out, info = env.step(actions[t])
-        rewards[t] = info["agent_rewards"] if args.individual_rewards else team_rewards[:, None]
+            cut = {name: x[: t + len(x) - env.episode_limit].to(args.device) for name, x in vars(batch).items()}
+            return SimpleNamespace(**cut)
+        arrays.actions[t] = team.act(arrays.observations[t], info)
+        arrays.played[t] = ~ended
+        arrays.observations[t + 1], rewards, real_end, time_out, info = env.step(arrays.actions[t])
+        arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
         ended = real_end | time_out
-        terminated[t] = ended if args.time_limit == "terminal" else real_end
+        arrays.terminated[t] = ended if args.time_limit == "terminal" else real_end
         t += 1
 
 
@@ -263,7 +253,7 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
             old.lerp_(new, 0.01 if method == "soft" else 1.0)
 
 
-def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
+def update(args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int) -> dict[str, Tensor]:
     """Learns from a batch, in update number `updates` (from 1). Returns its losses."""
     agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
     critic_inputs = batch.observations  # [time + 1, env, agent, obs]: to each agent its own
@@ -369,8 +359,19 @@ class Run:
         self.lock = filelock.FileLock(self.directory / "lock").acquire(timeout=0)
         if not args.resume and any(path.name != "lock" for path in self.directory.iterdir()):
             raise envs.InputError(f"{self.directory} holds a run already: add --resume, or choose another --run-dir.")
-        if saved := read_checkpoint(self.directory):
-            self.restore(saved)
+        if saved := read_checkpoint(self.directory):  # go on where it was made, if that was with the same flags
+            then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(self.args) | {"algorithm": ALGORITHM}
+            changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
+            if changed or now["total_timesteps"] < then["total_timesteps"]:
+                names = ", ".join(f"--{x.replace('_', '-')} {then[x]}" for x in [*changed, "total_timesteps"])
+                raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
+            for name, part in self.parts.items():
+                part.load_state_dict(saved["parts"][name])
+            rng_state, self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved[
+                "progress"
+            ]
+            self.rng.set_state(rng_state)
+            self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
         (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
         if args.track:
             name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
@@ -379,19 +380,6 @@ class Run:
         self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Goes on where the checkpoint was made, if it was made with the same flags."""
-        then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(self.args) | {"algorithm": ALGORITHM}
-        changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
-        if changed or now["total_timesteps"] < then["total_timesteps"]:
-            names = ", ".join(f"--{x.replace('_', '-')} {then[x]}" for x in [*changed, "total_timesteps"])
-            raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
-        for name, part in self.parts.items():
-            part.load_state_dict(saved["parts"][name])
-        rng_state, self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
-        self.rng.set_state(rng_state)
-        self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
 
     def save(self) -> None:
         """Writes the checkpoint, whole or not at all, keeps the one before it, and writes evaluations.csv."""

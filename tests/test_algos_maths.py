@@ -362,9 +362,7 @@ class TestComa:
         parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
         batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
-        batch = batch._replace(
-            terminated=torch.ones_like(batch.terminated) & (batch.played.cumsum(0) == batch.played.sum(0))
-        )
+        batch.terminated = batch.played.cumsum(0) == batch.played.sum(0)  # as if all episodes had ended for good
         losses = module.update(args, parts, batch, 1, rng)
 
         probs = agents(batch.observations)[0].softmax(-1).detach()
