@@ -387,6 +387,7 @@ class Run:
             envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
         self.writer = SummaryWriter(str(self.directory), purge_step=self.timestep + 1 if saved else None)
         self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
+        self.bar.write(f"This run is kept in {self.directory}")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
 
@@ -416,7 +417,9 @@ class Run:
             row = {"point": point, "timestep": self.timestep, "wall_seconds": self.wall, "cpu_seconds": self.cpu}
             self.rows.append(row | results)
             self.writer.add_scalar("evaluation/return_mean", results["return_mean"], self.timestep)
-            self.bar.write(f"step {self.timestep:,}: " + ", ".join(f"{k} {v:.3f}" for k, v in results.items()))
+            shown = ", ".join(f"{name} {value:.3f}" for name, value in results.items())
+            self.bar.write(f"step {self.timestep:,} after {self.wall:,.0f} s: {shown}")
+            self.bar.set_postfix_str(shown)
             self.save()
         if self.timestep < self.args.total_timesteps and not self.stop_signal:
             return True

@@ -1,0 +1,40 @@
+"""What the README shows works as it stands there."""
+
+import re
+import subprocess
+import sys
+
+from scripts import ROOT
+
+README = (ROOT / "README.md").read_text()
+
+
+def run(program, folder):
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder)
+
+
+def blocks():
+    """The README's two Python programs: a trained team, one random episode."""
+    return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_one_random_episode(tmp_path):
+    done = run(blocks()[1], tmp_path)
+    assert done.returncode == 0 and done.stdout.startswith("["), done.stderr
+
+
+def test_the_trained_team_in_five_lines(tmp_path):
+    flags = ["--env", "lbf-15x15-3p-5f", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
+    trained = subprocess.run([sys.executable, str(ROOT / "algos/mappo.py"), *flags, "--seed", "1"], cwd=tmp_path)
+    assert trained.returncode == 0
+    program = blocks()[0].replace("/path/to/marl-baselines/algos", str(ROOT / "algos"))
+    program = program.replace("/path/to/marl-baselines/", f"{tmp_path}/")
+    assert len(program.strip().splitlines()) == 5
+    done = run(program + "print(actions.shape)", tmp_path)
+    assert done.stdout.strip() == "(4, 3)", done.stderr
+
+
+def test_links_lead_somewhere():
+    links = re.findall(r"\]\((?!http)([^)#]+)\)", README)
+    assert len(links) > 5
+    assert all((ROOT / link).exists() for link in links)
