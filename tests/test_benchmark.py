@@ -1,0 +1,90 @@
+"""The programs of benchmark/: results are collected without loss, and the timing programs time."""
+
+import csv
+import importlib.util
+import json
+import subprocess
+import sys
+
+import pytest
+from scripts import ROOT
+
+
+@pytest.fixture
+def collect(monkeypatch, tmp_path):
+    """benchmark/collect.py as a module, with a results folder of its own."""
+    spec = importlib.util.spec_from_file_location("collect", ROOT / "benchmark" / "collect.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "RESULTS", tmp_path / "benchmark" / "results")
+    return module
+
+
+def make_run(folder, seed, timesteps, budget=2_500_000, name="mappo-shared", gamma=0.99):
+    """A run directory as a script leaves it, with one evaluation at each of the timesteps."""
+    directory = folder / "matrix-climbing" / name / f"seed{seed}"
+    directory.mkdir(parents=True)
+    flags = {"env": "matrix-climbing", "seed": seed, "total_timesteps": budget, "gamma": gamma, "threads": 1}
+    (directory / "config.json").write_text(json.dumps({"flags": flags, "commit": "abc", "command": ["mappo.py"]}))
+    lines = ["point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"]
+    lines += [f"{point},{step},{1.23456 * point},0.5,{10.5 * point},1.0,25.0" for point, step in enumerate(timesteps)]
+    (directory / "evaluations.csv").write_text("\n".join(lines) + "\n")
+
+
+def run_collect(collect, monkeypatch, folder):
+    monkeypatch.setattr(sys, "argv", ["collect.py", str(folder)])
+    collect.main()
+
+
+def table(collect, name):
+    with open(collect.RESULTS / "matrix-climbing" / f"{name}.csv") as file:
+        return list(csv.DictReader(file))
+
+
+def test_seeds_come_together_and_stay(collect, monkeypatch, tmp_path):
+    make_run(tmp_path / "first", 1, [0, 2_500_000])
+    make_run(tmp_path / "first", 0, [0, 2_500_010])
+    run_collect(collect, monkeypatch, tmp_path / "first")
+    make_run(tmp_path / "second", 2, [0, 2_500_000])
+    run_collect(collect, monkeypatch, tmp_path / "second")
+    rows = table(collect, "mappo-shared")
+    assert [(row["seed"], row["timestep"], row["return_mean"]) for row in rows] == [
+        ("0", "0", "0.0"),
+        ("0", "2500010", "10.5"),
+        ("1", "0", "0.0"),
+        ("1", "2500000", "10.5"),
+        ("2", "0", "0.0"),
+        ("2", "2500000", "10.5"),
+    ]
+    settings = json.loads((collect.RESULTS / "matrix-climbing" / "mappo-shared.json").read_text())
+    assert settings["flags"] == {"env": "matrix-climbing", "total_timesteps": 2_500_000, "gamma": 0.99}
+    assert settings["seeds"] == {seed: {"commit": "abc"} for seed in "012"}
+
+
+def test_incomplete_runs_are_left_out(collect, monkeypatch, tmp_path, capsys):
+    make_run(tmp_path / "runs", 0, [0, 2_499_999])
+    run_collect(collect, monkeypatch, tmp_path / "runs")
+    assert "not complete" in capsys.readouterr().out and not collect.RESULTS.exists()
+
+
+def test_another_budget_is_another_table(collect, monkeypatch, tmp_path):
+    make_run(tmp_path / "runs", 0, [0, 1000], budget=1000)
+    run_collect(collect, monkeypatch, tmp_path / "runs")
+    assert len(table(collect, "mappo-shared-total-timesteps=1000")) == 2
+
+
+def test_other_flags_do_not_mix(collect, monkeypatch, tmp_path):
+    make_run(tmp_path / "first", 0, [0, 2_500_000])
+    run_collect(collect, monkeypatch, tmp_path / "first")
+    make_run(tmp_path / "second", 1, [0, 2_500_000], gamma=0.5)
+    with pytest.raises(SystemExit, match="gamma"):
+        run_collect(collect, monkeypatch, tmp_path / "second")
+    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0"}
+
+
+@pytest.mark.parametrize("flags", [["--algos", "mappo", "coma"], ["--algos", "ia2c", "--", "--no-parameter-sharing"]])
+def test_training_speed(flags):
+    command = [sys.executable, "benchmark/training.py", "--env", "matrix-climbing", "--seconds", "1", *flags]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout.count("reference passes") == len(flags[1:2] if "--" in flags else flags[1:]), done.stderr
