@@ -378,7 +378,7 @@ class Run:
             envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
         self.writer = SummaryWriter(str(self.directory), purge_step=self.timestep + 1 if saved else None)
         self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
-        self.bar.write(f"This run is kept in {self.directory}")
+        self.bar.write(f"This run is kept in {self.directory}", file=sys.stderr)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
 
@@ -409,7 +409,7 @@ class Run:
             self.rows.append(row | results)
             self.writer.add_scalar("evaluation/return_mean", results["return_mean"], self.timestep)
             shown = ", ".join(f"{name} {value:.3f}" for name, value in results.items())
-            self.bar.write(f"step {self.timestep:,} after {self.wall:,.0f} s: {shown}")
+            self.bar.write(f"step {self.timestep:,} after {self.wall:,.0f} s: {shown}", file=sys.stderr)
             self.bar.set_postfix_str(shown)
             self.save()
         if self.timestep < self.args.total_timesteps and not self.stop_signal:

@@ -55,6 +55,7 @@ def finished(request, tmp_path_factory):
     directory = tmp_path_factory.mktemp(request.param) / "run"
     done = run(request.param, *SHORT, "--run-dir", directory)
     assert done.returncode == 0, done.stderr
+    assert done.stderr.count("return_mean") == 11  # a line for each evaluation where there is no terminal
     return request.param, directory
 
 
