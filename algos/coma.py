@@ -264,9 +264,7 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
             old.lerp_(new, 0.01 if method == "soft" else 1.0)
 
 
-def update(
-    args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int, rng: torch.Generator
-) -> dict[str, Tensor]:
+def update(args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int, rng: torch.Generator) -> dict[str, Tensor]:
     """Learns from a batch, in update number `updates` (from 1). Returns its losses."""
     critic, target_critic = parts["critic"], parts["target_critic"]
     logits = parts["agents"](batch.observations)[0]  # [time + 1, env, agent, action]
@@ -443,7 +441,7 @@ class Run:
         before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + 1
         for term, loss in losses.items():
             if not torch.isfinite(loss):
-                sys.exit(f"The {term} loss is {float(loss)} at step {self.timestep:,}; the last checkpoint is kept.")
+                sys.exit(f"The {term} loss is {loss.item()} at step {self.timestep:,}; the last checkpoint is kept.")
             if self.timestep * 1000 // self.budget > before * 1000 // self.budget:
                 self.writer.add_scalar(f"loss/{term}", loss, self.timestep)
         self.bar.update(steps)

@@ -435,7 +435,7 @@ class Run:
         before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + 1
         for term, loss in losses.items():
             if not torch.isfinite(loss):
-                sys.exit(f"The {term} loss is {float(loss)} at step {self.timestep:,}; the last checkpoint is kept.")
+                sys.exit(f"The {term} loss is {loss.item()} at step {self.timestep:,}; the last checkpoint is kept.")
             if self.timestep * 1000 // self.budget > before * 1000 // self.budget:
                 self.writer.add_scalar(f"loss/{term}", loss, self.timestep)
         self.bar.update(steps)

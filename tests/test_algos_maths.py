@@ -201,7 +201,7 @@ class TestNetworks:
         a, b = torch.nn.Parameter(torch.zeros(1)), torch.nn.Parameter(torch.zeros(1))
         optimiser = torch.optim.SGD([a, b], lr=1.0)
         script(name).gradient_step(30 * a.sum() + 40 * b.sum(), optimiser, 10.0)  # gradient (30, 40), norm 50
-        assert float(a) == pytest.approx(-6, rel=1e-5) and float(b) == pytest.approx(-8, rel=1e-5)
+        assert a.item() == pytest.approx(-6, rel=1e-5) and b.item() == pytest.approx(-8, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ON_POLICY)
