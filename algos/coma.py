@@ -264,7 +264,9 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
             old.lerp_(new, 0.01 if method == "soft" else 1.0)
 
 
-def update(args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int, rng: torch.Generator) -> dict[str, Tensor]:
+def update(
+    args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int, rng: torch.Generator
+) -> dict[str, Tensor]:
     """Learns from a batch, in update number `updates` (from 1). Returns its losses."""
     critic, target_critic = parts["critic"], parts["target_critic"]
     logits = parts["agents"](batch.observations)[0]  # [time + 1, env, agent, action]

@@ -306,18 +306,67 @@ def test_losses_of_the_first_update(monkeypatch, name):
 
 
 @pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
-def test_clipping_stops_the_gradient(monkeypatch, name):
-    """With a step that moves the policy far, later epochs see clipped ratios: the policy moves less than unclipped."""
+def test_loss_of_the_second_epoch_is_clipped(name):
+    """By the cases of the PPO paper: a ratio above 1.2 does not help a good action, one below 0.8 not a bad one."""
+    module = script(name)
 
-    def moved(clip_coef):
-        flags = {"hidden_dim": 16, "learning_rate": 0.05, "clip_coef": clip_coef, "update_epochs": 8}
-        run = trained(monkeypatch, name, 1, **flags)
-        torch.manual_seed(run.args.seed)
-        start = script(name).AgentNetworks(run.args, run.env.n_agents, run.env.obs_size, run.env.n_actions)
-        x = torch.zeros(1, 1, run.env.n_agents, run.env.obs_size)
-        return float((run.parts["agents"](x)[0].softmax(-1) - start(x)[0].softmax(-1)).abs().max())
+    def learn(update_epochs):
+        args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=8, update_epochs=update_epochs)
+        env = envs.make(args.env, 8, 0, copy=False)
+        rng = torch.manual_seed(3)
+        agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
+        critic = module.AgentNetworks(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
+        parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
+        parts["standardiser"] = module.RewardStandardiser("none")
+        parts["actor_optimiser"] = torch.optim.Adam(agents.parameters(), lr=0.05)
+        parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
+        batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
+        before = module.deepcopy(agents)
+        losses = module.update(args, parts, batch, 1)
+        return args, parts, batch, before, losses
 
-    assert moved(0.05) < moved(1000.0)
+    args, parts, batch, before, _ = learn(1)
+    losses = learn(2)[-1]
+    view = batch.states.unsqueeze(2) if name[0] == "m" else batch.observations
+    values = parts["critic"](view)[0].squeeze(-1).detach()
+    returns = module.n_step_returns(batch.rewards, values, batch.played, batch.terminated, args.gamma, args.n_step)
+    old = before(batch.observations)[0].softmax(-1).detach()
+    new = parts["agents"](batch.observations)[0].softmax(-1).detach()
+    terms, clipped_high, clipped_low = [], 0, 0
+    for t, e, i in np.ndindex(*batch.actions.shape):
+        if not batch.played[t, e]:
+            continue
+        action, advantage = batch.actions[t, e, i], float(returns[t, e, i] - values[t, e, i])
+        ratio = float(new[t, e, i, action] / old[t, e, i, action])
+        clipped_high += ratio > 1.2 and advantage > 0
+        clipped_low += ratio < 0.8 and advantage < 0
+        gain = advantage * (min(ratio, 1.2) if advantage > 0 else max(ratio, 0.8))
+        entropy = -float((new[t, e, i] * new[t, e, i].log()).sum())
+        terms.append(-(gain + args.entropy_coef * entropy))
+    assert clipped_high > 0 and clipped_low > 0
+    assert losses["actor"].item() == pytest.approx(np.mean(terms), rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ON_POLICY)
+def test_the_target_follows_the_critic(monkeypatch, name):
+    start = trained(monkeypatch, name, 0, hidden_dim=16, target_update="soft").parts["critic"]
+    parts = trained(monkeypatch, name, 1, hidden_dim=16, target_update="soft").parts
+    moved = zip(start.parameters(), parts["critic"].parameters(), parts["target_critic"].parameters())
+    for old, online, target in moved:
+        assert not torch.equal(old, online)
+        torch.testing.assert_close(target, 0.99 * old + 0.01 * online)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_seed_reaches_networks_actions_and_environments(monkeypatch, name):
+    def begin(seed):
+        """The networks' weights, what the generator draws next, and the first observations."""
+        run = trained(monkeypatch, name, 0, seed=seed, hidden_dim=16)
+        weights = torch.cat([parameter.flatten() for parameter in run.parts["agents"].parameters()])
+        return weights, torch.rand(5, generator=run.rng), torch.from_numpy(run.env.reset()[0].copy())
+
+    for first, same, other in zip(begin(0), begin(0), begin(1)):
+        assert torch.equal(first, same) and not torch.equal(first, other)
 
 
 class TestComa:
