@@ -320,13 +320,13 @@ def parse(argv: list[str]) -> Args:
 
 def read_checkpoint(directory: Path) -> dict[str, Any] | None:
     """The last checkpoint that is whole; None where there is none yet. InputError where all are damaged."""
-    found = [path for path in (directory / "checkpoint.pt", directory / "checkpoint.previous.pt") if path.exists()]
-    for path in found:
+    paths = [directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new")]
+    for path in filter(Path.exists, paths):
         try:
             return torch.load(path, map_location="cpu", weights_only=True)
         except Exception:  # torch.load raises almost anything on a damaged file
             print(f"{path} is damaged and cannot be used.", file=sys.stderr)
-    if found or (directory / "evaluations.csv").exists():
+    if (directory / "evaluations.csv").exists():  # it is written after a checkpoint
         raise envs.InputError(f"{directory} holds a run, but no checkpoint of it that can be used.")
     return None
 
@@ -367,9 +367,8 @@ class Run:
                 raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
             for name, part in self.parts.items():
                 part.load_state_dict(saved["parts"][name])
-            rng_state, self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved[
-                "progress"
-            ]
+            rng_state, self.env.episode, self.rows, *counters = saved["progress"]
+            self.timestep, self.updates, self.budget, wall, cpu = counters
             self.rng.set_state(rng_state)
             self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
         (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
@@ -464,7 +463,7 @@ def main() -> None:
         team = load(args.watch)
         env = envs.make(team.args.env, args.eval_episodes)
         print(evaluate(env, team, team.args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
-    except (envs.InputError, filelock.Timeout) as error:
+    except (envs.InputError, OSError) as error:  # OSError: a directory in use or not to be written, a full disk
         print(f"{ALGORITHM}: {error}", file=sys.stderr)
         sys.exit(2)
 

@@ -165,6 +165,24 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(finished, monkeypatch,
     assert evaluations(damaged) == evaluations(directory)
 
 
+def test_killed_while_a_checkpoint_takes_its_place(finished, monkeypatch, capsys, tmp_path):
+    """Between the two renamings of a save that follows a damaged checkpoint only the new file is whole."""
+    name, directory = finished
+    copy = copy_of(directory, tmp_path / "run")
+    (copy / "checkpoint.pt").rename(copy / "checkpoint.new.pt")
+    (copy / "checkpoint.previous.pt").write_bytes(b"damaged")
+    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", copy, "--resume")[0] == 0
+    assert evaluations(copy) == evaluations(directory)
+
+
+def test_killed_in_the_first_checkpoint_starts_afresh(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "checkpoint.new.pt").write_bytes((directory / "checkpoint.pt").read_bytes()[:1000])
+    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert evaluations(tmp_path / "run") == evaluations(directory)
+
+
 def test_nothing_but_damaged_checkpoints_is_refused(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     damaged = copy_of(directory, tmp_path / "run")
@@ -258,6 +276,11 @@ class TestWrongInput:
         (tmp_path / "config.json").write_text("mine")
         self.one_sentence(self.refused(monkeypatch, capsys, *SHORT, "--run-dir", tmp_path))
         assert (tmp_path / "config.json").read_text() == "mine"
+
+    def test_a_directory_that_is_a_file(self, monkeypatch, capsys, tmp_path):
+        (tmp_path / "file").write_text("mine")
+        self.one_sentence(self.refused(monkeypatch, capsys, *SHORT, "--run-dir", tmp_path / "file"))
+        assert (tmp_path / "file").read_text() == "mine"
 
     def test_a_directory_in_use(self, finished, monkeypatch, capsys):
         name, directory = finished
