@@ -301,8 +301,8 @@ def test_losses_of_the_first_update(monkeypatch, name):
     batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
     expected = slow_losses(module, name, args, parts, batch)
     losses = module.update(args, parts, batch, 1)
-    assert float(losses["critic"]) == pytest.approx(expected[0], rel=1e-4)
-    assert float(losses["actor"]) == pytest.approx(expected[1], rel=1e-4)
+    assert losses["critic"].item() == pytest.approx(expected[0], rel=1e-4)
+    assert losses["actor"].item() == pytest.approx(expected[1], rel=1e-4)
 
 
 @pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
@@ -440,5 +440,5 @@ class TestComa:
                     entropy = -float((p * p.log()).sum())
                     actor_terms.append(-(advantage * math.log(float(p[action])) + args.entropy_coef * entropy))
                 critic_terms.append(squares)
-        assert float(losses["critic"]) == pytest.approx(np.mean(critic_terms), rel=1e-4)
-        assert float(losses["actor"]) == pytest.approx(np.mean(actor_terms), rel=1e-4)
+        assert losses["critic"].item() == pytest.approx(np.mean(critic_terms), rel=1e-4)
+        assert losses["actor"].item() == pytest.approx(np.mean(actor_terms), rel=1e-4)
