@@ -14,14 +14,19 @@ NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
 ON_POLICY = [name for name in NAMES if name in ("ia2c", "ippo", "coma", "maa2c", "mappo")]
 
 
+def load_module(path: Path) -> ModuleType:
+    """A program of the repository as a module, made anew."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
 def script(name: str) -> ModuleType:
-    """algos/<name>.py as a module."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, ROOT / "algos" / f"{name}.py")
-        assert spec is not None and spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
+    """algos/<name>.py as a module, the same one each time."""
+    return sys.modules[name] if name in sys.modules else load_module(ROOT / "algos" / f"{name}.py")
 
 
 class FakeRun:
@@ -56,4 +61,4 @@ def trained(monkeypatch, name: str, updates: int, env: str = "lbf-5x5-2p-1f", **
     return run
 
 
-__all__ = ["NAMES", "ON_POLICY", "ROOT", "FakeRun", "envs", "script", "trained"]
+__all__ = ["NAMES", "ON_POLICY", "ROOT", "FakeRun", "envs", "load_module", "script", "trained"]

@@ -1,23 +1,19 @@
 """The programs of benchmark/: results are collected without loss, and the timing programs time."""
 
 import csv
-import importlib.util
 import json
 import shutil
 import subprocess
 import sys
 
 import pytest
-from scripts import ROOT
+from scripts import ROOT, load_module
 
 
 @pytest.fixture
 def collect(monkeypatch, tmp_path):
     """benchmark/collect.py as a module, with a results folder of its own."""
-    spec = importlib.util.spec_from_file_location("collect", ROOT / "benchmark" / "collect.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_module(ROOT / "benchmark" / "collect.py")
     monkeypatch.setattr(module, "RESULTS", tmp_path / "benchmark" / "results")
     return module
 
@@ -93,10 +89,7 @@ def test_training_speed(flags):
 
 def test_report_computes_as_the_paper_does(monkeypatch, tmp_path, capsys):
     """Two seeds with the curves (0, 4, 2) and (2, 6, 8): by hand, the maximum is 5 at the last two points."""
-    spec = importlib.util.spec_from_file_location("report", ROOT / "benchmark" / "report.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_module(ROOT / "benchmark" / "report.py")
     folder = tmp_path / "results" / "matrix-climbing"
     folder.mkdir(parents=True)
     lines = ["seed,point,return_mean", "0,0,0", "0,1,4", "0,2,2", "1,0,2", "1,1,6", "1,2,8"]
