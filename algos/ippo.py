@@ -44,7 +44,7 @@ import envs
 
 # What the paper's search chose, by family of tasks: with parameter sharing, without; its budget is the on-policy one.
 PAPER_BUDGET = "on_policy_timesteps"
-PAPER_FLAGS = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step".split()
+PAPER_ARGS = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step".split()
 PAPER = {
     "matrix": ((64, 0.0005, "batch", "fc", 0.001, "soft", 5), (64, 0.0005, "batch", "fc", 0.001, "soft", 5)),
     "mpe": ((64, 0.0003, "batch", "gru", 0.01, "soft", 5), (128, 0.0001, "batch", "fc", 0.01, "soft", 10)),
@@ -195,10 +195,9 @@ class SamplingTeam:
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict) -> np.ndarray:
         """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action]. Returns actions, [env, agent]."""
-        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)
-        outputs, self.hidden = self.agents(inputs, self.hidden)
-        action_masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
-        return sample_actions(outputs[0], action_masks, self.rng).cpu().numpy()
+        inputs, masks = torch.from_numpy(observations)[None], torch.from_numpy(info["action_mask"])
+        logits, self.hidden = self.agents(inputs.to(self.args.device), self.hidden)
+        return sample_actions(logits[0], masks.to(self.args.device), self.rng).cpu().numpy()
 
 
 Team = SamplingTeam  # the name by which the code that is the same in all scripts knows it
@@ -241,9 +240,9 @@ def collect(args: Args, env: Any, team: Team, batch: SimpleNamespace) -> SimpleN
 
 # --- update ---
 def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> None:
-    """One step down the loss, with the gradient of all parameters together clipped in norm."""
+    """One step of the optimiser down the loss, with the gradient of all its parameters together clipped in norm."""
     optimiser.zero_grad()
-    loss.backward()
+    loss.backward(inputs=optimiser.param_groups[0]["params"])
     nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], max_grad_norm)
     optimiser.step()
 
@@ -309,16 +308,15 @@ MAY_CHANGE = {"total_timesteps", "device", "threads", "run_dir", "resume", "watc
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The paper's budget and hyperparameters for the task's family (Args' own values where it has none)."""
     task = envs.task(env)
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS, PAPER.get(task.family, ((), ()))[not parameter_sharing]))
+    chosen: dict[str, Any] = dict(zip(PAPER_ARGS, PAPER.get(task.family, ((), ()))[not parameter_sharing]))
     chosen |= {"total_timesteps": getattr(task, PAPER_BUDGET), "eval_points": task.eval_points}
     return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
 
 
 def parse(argv: list[str]) -> Args:
     """Reads the flags twice: first those that decide on the defaults, then, with these, all of them."""
-    deciding = [flag for flag in argv if flag not in ("-h", "--help")]
-    defaults, _ = tyro.cli(paper_defaults, args=deciding, return_unknown_args=True)
-    args = tyro.cli(Args, args=argv, default=defaults, description=__doc__)
+    paper, _ = tyro.cli(paper_defaults, args=[x for x in argv if x not in ("-h", "--help")], return_unknown_args=True)
+    args = tyro.cli(Args, args=argv, default=paper, description=__doc__)
     for name, value in vars(args).items():
         if type(value) in (int, float) and not value >= (type(value) is int and name != "seed"):  # counts begin at 1
             raise envs.InputError(f"--{name.replace('_', '-')} cannot be {value}.")
@@ -369,16 +367,15 @@ class Run:
         if not args.resume and any(path.name != "lock" for path in self.directory.iterdir()):
             raise envs.InputError(f"{self.directory} holds a run already: add --resume, or choose another --run-dir.")
         if saved := read_checkpoint(self.directory):  # go on where it was made, if that was with the same flags
-            then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(self.args) | {"algorithm": ALGORITHM}
+            then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(args) | {"algorithm": ALGORITHM}
             changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
-            if changed or now["total_timesteps"] < then["total_timesteps"]:
+            if changed or args.total_timesteps < then["total_timesteps"]:
                 names = ", ".join(f"--{x.replace('_', '-')} {then[x]}" for x in [*changed, "total_timesteps"])
                 raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
             for name, part in self.parts.items():
                 part.load_state_dict(saved["parts"][name])
-            rng_state, self.env.episode, self.rows, *counters = saved["progress"]
-            self.timestep, self.updates, self.budget, wall, cpu = counters
-            self.rng.set_state(rng_state)
+            self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
+            self.rng.set_state(saved["rng"])
             self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
         (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
         if args.track:
@@ -392,11 +389,10 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint, whole or not at all, keeps the one before it, and writes evaluations.csv."""
-        counters = (self.timestep, self.updates, self.budget, self.wall, self.cpu)
-        saved: dict[str, Any] = {"algorithm": ALGORITHM, "flags": vars(self.args)}
+        saved: dict[str, Any] = {"algorithm": ALGORITHM, "flags": vars(self.args), "rng": self.rng.get_state()}
         saved["sizes"] = (self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network)
         saved["parts"] = {name: part.state_dict() for name, part in self.parts.items()}
-        saved["progress"] = (self.rng.get_state(), self.env.episode, self.rows, *counters)
+        saved["progress"] = (self.env.episode, self.rows, self.timestep, self.updates, self.budget, self.wall, self.cpu)
         last, previous, new = (self.directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))
         torch.save(saved, new)
         if last.exists():
@@ -430,8 +426,8 @@ class Run:
         return False
 
     def advance(self, steps: int, losses: dict[str, Tensor]) -> None:
-        """Counts an update and the steps that it learned from; logs the losses a thousand times a run."""
-        before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + 1
+        """Counts steps, and an update if there was one; logs its losses a thousand times a run."""
+        before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + bool(losses)
         for term, loss in losses.items():
             if not torch.isfinite(loss):
                 sys.exit(f"The {term} loss is {loss.item()} at step {self.timestep:,}; the last checkpoint is kept.")

@@ -4,13 +4,14 @@
 
 The loop is the script's own `train`, without evaluations and files. Reference passes: what plain PyTorch needs for the
 networks alone - forward and backward of each trained network on random inputs of a batch's size, as often as the
-algorithm passes over a batch, and the target network's forward; no optimiser, no loss but a mean square. Loop and
+algorithm passes over a batch, and the target networks' forward; no optimiser, no loss but a mean square. Loop and
 passes take turns, so that a noisy machine treats them alike. The parts of the loop are timed in it.
 """
 
 import argparse
 import importlib.util
 import statistics
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -48,27 +49,41 @@ def load_script(name: str) -> ModuleType:
     return module
 
 
-def reference_passes(name: str, args: Any, env: Any) -> Callable[[], None]:
-    """One batch of an on-policy algorithm: ten whole episodes, all of them as long as the time limit."""
-    steps, copies = env.episode_limit, 1 if args.parameter_sharing else env.n_agents
+def reference_passes(module: Any, name: str, args: Any, env: Any) -> Callable[[], None]:
+    """One batch of whole episodes, all as long as the time limit: ten on-policy, 32 of a replay off-policy."""
+    copies = 1 if args.parameter_sharing else env.n_agents
     ids = env.n_agents if args.parameter_sharing else 0
-    rows = env.num_envs * env.n_agents // copies
-    view = env.state_size if name in ("coma", "maa2c", "mappo") else env.obs_size
-    view += env.n_agents * env.n_actions if name == "coma" else 0
+    replays = hasattr(args, "batch_size")
+    steps = env.episode_limit + replays  # a replayed episode is valued in its last state too
+    rows = (args.batch_size if replays else env.num_envs) * env.n_agents // copies
+    view = env.state_size if name in ("coma", "maa2c", "mappo", "maddpg") else env.obs_size
+    view += env.n_agents * env.n_actions if name in ("coma", "maddpg") else 0
     values = env.n_actions if name == "coma" else 1
     epochs = getattr(args, "update_epochs", 1)
     actor_x, critic_x = torch.randn(steps, rows, env.obs_size + ids), torch.randn(steps, rows, view + ids)
-    actors = [Plain(env.obs_size + ids, args.hidden_dim, env.n_actions, args.network) for _ in range(copies)]
-    critics = [Plain(view + ids, args.hidden_dim, values, "fc") for _ in range(copies)]
+    actors = [
+        (Plain(env.obs_size + ids, args.hidden_dim, env.n_actions, args.network), (actor_x,)) for _ in range(copies)
+    ]
+    critics = [(Plain(view + ids, args.hidden_dim, values, "fc"), (critic_x,)) for _ in range(copies)]
+    mixers: list[Any] = []
+    if name == "qmix":
+        sizes = (steps, args.batch_size)
+        inputs = torch.randn(*sizes, env.n_agents), torch.randn(*sizes, env.state_size)
+        mixers = [(module.Mixer(env.n_agents, env.state_size), inputs)]
+    trained, targets = [*actors, *critics], critics
+    if name == "maddpg":  # the critic's second pass leads the actors
+        trained, targets = [*actors, *critics, *critics], [*actors, *critics]
+    elif replays:
+        trained = targets = [*actors, *mixers]
 
     def passes() -> None:
         with torch.no_grad():
-            for critic in critics:
-                critic(critic_x)
+            for target, x in targets:
+                target(*x)
         for _ in range(epochs):
-            for network, x in [*((actor, actor_x) for actor in actors), *((critic, critic_x) for critic in critics)]:
+            for network, x in trained:
                 network.zero_grad()
-                network(x).square().mean().backward()
+                network(*x).square().mean().backward()
 
     return passes
 
@@ -76,14 +91,14 @@ def reference_passes(name: str, args: Any, env: Any) -> Callable[[], None]:
 class Clock:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
-    def __init__(self, name: str, seconds: float):
-        self.name, self.seconds = name, seconds
+    def __init__(self, module: Any, name: str, seconds: float, directory: Path):
+        self.module, self.name, self.seconds, self.directory = module, name, seconds, directory
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
-        self.updates, self.started = 0, 0.0
+        self.timestep, self.updates, self.started = 0, 0, 0.0
 
     def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
-        self.env, self.passes = env, reference_passes(self.name, args, env)
+        self.env, self.passes = env, reference_passes(self.module, self.name, args, env)
         self.end = time.perf_counter() + self.seconds
         return self
 
@@ -92,13 +107,17 @@ class Clock:
         return self.started < self.end
 
     def advance(self, steps: int, losses: Any) -> None:
-        self.updates += 1
+        self.timestep += steps
+        self.updates += bool(losses)  # none while a replay fills
         between = time.perf_counter()
         self.passes()
         passed = time.perf_counter()
         if self.updates > 5:  # the first batches warm up
             self.rates.append(steps / (between - self.started))
             self.reference_rates.append(self.env.num_envs * self.env.episode_limit / (passed - between))
+
+    def save(self) -> None:
+        """A benchmark keeps nothing."""
 
 
 def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Callable:
@@ -118,9 +137,7 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
     module: Any = load_script(name)
     args = module.parse(flags)
     torch.set_num_threads(1)
-    clock = Clock(name, seconds)
     parts: dict[str, list[float]] = defaultdict(list)
-    module.Run = clock
     module.collect, module.update = timed(module.collect, parts, "acting"), timed(module.update, parts, "update")
     make = module.envs.make
 
@@ -130,7 +147,9 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
         return env
 
     module.envs.make = make_timed
-    module.train(args)
+    with tempfile.TemporaryDirectory() as directory:
+        clock = module.Run = Clock(module, name, seconds, Path(directory))
+        module.train(args)
     module.envs.make = make
     rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
     acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])

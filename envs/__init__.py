@@ -15,10 +15,22 @@ from types import ModuleType
 from typing import Any
 
 from envs.provenance import provenance
+from envs.storage import require_room
 from envs.tasks import InputError, Task, task, task_names
 from envs.vector import VectorEnv
 
-__all__ = ["InputError", "Task", "VectorEnv", "film", "make", "optional", "provenance", "task", "task_names"]
+__all__ = [
+    "InputError",
+    "Task",
+    "VectorEnv",
+    "film",
+    "make",
+    "optional",
+    "provenance",
+    "require_room",
+    "task",
+    "task_names",
+]
 
 
 def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:

@@ -86,11 +86,11 @@ def as_flag(name, value):
 def test_hyperparameters_are_the_papers(name):
     module, rows, seen = script(name), paper_rows(name), set()
     for row in rows:
-        column = module.PAPER_FLAGS.index(FLAGS[row["name"]])
+        column = module.PAPER_ARGS.index(FLAGS[row["name"]])
         values = module.PAPER[row["family"]][row["parameter_sharing"] == "no"]
         assert values[column] == as_flag(row["name"], row["value"]), row
         seen.add((row["family"], row["parameter_sharing"], column))
-    assert len(seen) == len(rows) == 10 * len(module.PAPER_FLAGS)
+    assert len(seen) == len(rows) == 10 * len(module.PAPER_ARGS)
 
 
 @pytest.mark.parametrize("name", NAMES)
