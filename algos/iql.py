@@ -9,6 +9,7 @@ of whole episodes from the replay. Q' is an old or slowly moving copy of Q; Q ch
     L     = mean over agents and steps of (y_i,t - Q_i(o_i,t, a_i,t))^2
 
 Tan, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents", 1993.
+Double Q-learning: van Hasselt et al., "Deep Reinforcement Learning with Double Q-learning", 2016.
 Tables: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks", 2021.
 As there, a time-out is an end; unlike there, padding does not count where rewards are standardised.
 

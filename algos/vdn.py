@@ -9,6 +9,7 @@ Q' values them (double Q-learning).
     L   = mean over steps of (y_t - sum_i Q_i(o_i,t, a_i,t))^2
 
 Sunehag et al., "Value-Decomposition Networks For Cooperative Multi-Agent Learning", 2018.
+Double Q-learning: van Hasselt et al., "Deep Reinforcement Learning with Double Q-learning", 2016.
 Tables: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks", 2021.
 As there, a time-out is an end; unlike there, padding does not count where rewards are standardised.
 

@@ -2,10 +2,11 @@
 
     python benchmark/report.py [task ...]
 
-Maximum: the mean over seeds at each evaluation point, then the best point. Average: the mean over points and seeds.
-Last: the last point. Behind +-: 2 s / sqrt(n), s the sample standard deviation over n seeds (for the average, of the
-seeds' own means); the paper's 95 % intervals are this with n = 5. Fewer seeds are marked with a star; a single one has
-no interval. A number of steps behind the algorithm is a budget other than the paper's: its average does not compare.
+Maximum: the mean over seeds at each evaluation point, then the best point; "at step 0" where that lies before the
+training, as the luck of random networks. Average: the mean over points and seeds. Last: the last point. Behind +-:
+2 s / sqrt(n), s the sample standard deviation over n seeds (for the average, of the seeds' own means); the paper's 95 %
+intervals are this with n = 5. Fewer seeds are marked with a star; a single one has no interval. A number of steps
+behind the algorithm is a budget other than the paper's: its average does not compare.
 """
 
 import csv
@@ -57,7 +58,7 @@ def main() -> None:
             task,
             name + "".join(f", {budget:,} steps" if "total-timesteps" in flag else f", {flag}" for flag in changed),
             f"{len(returns)}{'' if len(returns) >= PAPER_SEEDS else '*'}",
-            mean_and_interval(returns[:, best]),
+            mean_and_interval(returns[:, best]) + (" at step 0" if best == 0 else ""),
             paper_cell(paper, "max_return", shared, task, algorithm),
             mean_and_interval(returns.mean(1)),
             "-" if changed else paper_cell(paper, "average_return", shared, task, algorithm),

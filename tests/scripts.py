@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+import tempfile
 from pathlib import Path
 from types import ModuleType
 
@@ -11,7 +12,9 @@ import envs
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
-ON_POLICY = [name for name in NAMES if name in ("ia2c", "ippo", "coma", "maa2c", "mappo")]
+VALUE_BASED = [name for name in NAMES if name in ("iql", "vdn", "qmix")]
+OFF_POLICY = [name for name in NAMES if name in ("maddpg", *VALUE_BASED)]
+ON_POLICY = [name for name in NAMES if name not in OFF_POLICY]
 
 
 def load_module(path: Path) -> ModuleType:
@@ -30,10 +33,12 @@ def script(name: str) -> ModuleType:
 
 
 class FakeRun:
-    """Stands for a script's Run: notes the parts that `train` builds, and lets it make some updates."""
+    """Stands for a script's Run: notes the parts that `train` builds, and lets it collect some batches."""
 
-    def __init__(self, updates: int):
-        self.left, self.updates = updates, 0
+    def __init__(self, batches: int):
+        self.left, self.timestep, self.updates = batches, 0, 0
+        self.folder = tempfile.TemporaryDirectory()  # gone with this object
+        self.directory = Path(self.folder.name)
 
     def __call__(self, args, env, parts, rng):
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
@@ -45,12 +50,16 @@ class FakeRun:
 
     def advance(self, steps, losses) -> None:
         assert steps > 0
-        self.updates += 1
+        self.timestep += steps
+        self.updates += bool(losses)
+
+    def save(self) -> None:
+        """Nothing is kept."""
 
 
-def trained(monkeypatch, name: str, updates: int, env: str = "lbf-5x5-2p-1f", **flags) -> FakeRun:
-    """What `train` of a script builds and has changed after some updates, without anything written to disk."""
-    module, run = script(name), FakeRun(updates)
+def trained(monkeypatch, name: str, batches: int, env: str = "lbf-5x5-2p-1f", **flags) -> FakeRun:
+    """What `train` of a script builds and has changed after some batches; no file stays."""
+    module, run = script(name), FakeRun(batches)
     monkeypatch.setattr(module, "Run", run)
     args = module.paper_defaults(env, flags.pop("parameter_sharing", True))
     for flag, value in flags.items():
@@ -61,4 +70,15 @@ def trained(monkeypatch, name: str, updates: int, env: str = "lbf-5x5-2p-1f", **
     return run
 
 
-__all__ = ["NAMES", "ON_POLICY", "ROOT", "FakeRun", "envs", "load_module", "script", "trained"]
+__all__ = [
+    "NAMES",
+    "OFF_POLICY",
+    "ON_POLICY",
+    "ROOT",
+    "VALUE_BASED",
+    "FakeRun",
+    "envs",
+    "load_module",
+    "script",
+    "trained",
+]

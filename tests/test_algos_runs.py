@@ -8,15 +8,27 @@ import subprocess
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from scripts import NAMES, ON_POLICY, ROOT, envs, script
+from scripts import NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, script
 
-SHORT = ["--env", "lbf-5x5-2p-1f", "--total-timesteps", "20000", "--eval-points", "11", "--eval-episodes", "20"]
-SHORT += ["--hidden-dim", "32", "--reward-standardisation", "running", "--network", "gru"]
+SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
+SHORT += ["--reward-standardisation", "running", "--network", "gru"]
+STEPS = {name: 20_000 if name in ON_POLICY else 4000 for name in NAMES}
 WRITTEN = ["checkpoint.previous.pt", "checkpoint.pt", "config.json", "evaluations.csv"]
+
+
+def short(name):
+    """The flags of a short run with 11 evaluations; a replay is full several times."""
+    return [
+        *SHORT,
+        "--total-timesteps",
+        STEPS[name],
+        *(["--buffer-size", 40, "--batch-size", 8] * (name in OFF_POLICY)),
+    ]
 
 
 def command(name, *flags):
@@ -53,22 +65,23 @@ def main(monkeypatch, capsys, name, *flags):
 def finished(request, tmp_path_factory):
     """A short run of each script, never interrupted: its name and directory."""
     directory = tmp_path_factory.mktemp(request.param) / "run"
-    done = run(request.param, *SHORT, "--run-dir", directory)
+    done = run(request.param, *short(request.param), "--run-dir", directory)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("return_mean") == 11  # a line for each evaluation where there is no terminal
     return request.param, directory
 
 
 def test_what_a_run_leaves(finished):
-    _name, directory = finished
+    name, directory = finished
     names = sorted(path.name for path in directory.iterdir())
     events = [name for name in names if name.startswith("events.out.tfevents")]
     assert sorted({*WRITTEN, "lock"}) == sorted(set(names) - set(events)) and len(events) == 1
     rows = evaluations(directory)
     assert [int(row["point"]) for row in rows] == list(range(11))
-    for row in rows:  # due at the first end of a batch (10 episodes of at most 50 steps) at or after its point
-        due = int(row["point"]) * 2000
-        assert due <= int(row["timestep"]) < due + 500
+    longest = 500 if name in ON_POLICY else 50  # of a batch: ten episodes, or one, of at most 50 steps
+    for row in rows:  # due at the first end of a batch at or after its point
+        due = int(row["point"]) * STEPS[name] // 10
+        assert due <= int(row["timestep"]) < due + longest
     config = json.loads((directory / "config.json").read_text())
     assert config["flags"]["env"] == "lbf-5x5-2p-1f" and config["versions"]["torch"] == torch.__version__
     assert set(config) == {"flags", "command", "python", "versions", "commit", "machine"}
@@ -76,13 +89,13 @@ def test_what_a_run_leaves(finished):
 
 def test_same_seed_same_file(finished, tmp_path):
     name, directory = finished
-    assert run(name, *SHORT, "--run-dir", tmp_path / "again").returncode == 0
+    assert run(name, *short(name), "--run-dir", tmp_path / "again").returncode == 0
     assert evaluations(tmp_path / "again") == evaluations(directory)
 
 
 def test_another_seed_another_file(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
-    few = [*SHORT, "--total-timesteps", "2000", "--eval-points", "2"]
+    few = [*short(name), "--total-timesteps", "2000", "--eval-points", "2"]
     assert main(monkeypatch, capsys, name, *few, "--seed", 1, "--run-dir", tmp_path / "other")[0] == 0
     assert evaluations(tmp_path / "other")[0] != evaluations(directory)[0]
 
@@ -99,26 +112,26 @@ def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
     moments = random.Random(name)
     for _ in range(3):
         before = rows_written(tmp_path / "run")
-        process = subprocess.Popen(command(name, *SHORT, "--run-dir", tmp_path / "run", "--resume"))
+        process = subprocess.Popen(command(name, *short(name), "--run-dir", tmp_path / "run", "--resume"))
         while rows_written(tmp_path / "run") <= before:
             assert process.poll() is None
             time.sleep(0.01)
-        time.sleep(moments.uniform(0, 0.4))
+        time.sleep(moments.uniform(0, 0.4 if name in ON_POLICY else 0.1))
         process.kill()
         process.wait()
     assert rows_written(tmp_path / "run") < 11  # it was killed before it was complete
-    done = run(name, *SHORT, "--run-dir", tmp_path / "run", "--resume")
+    done = run(name, *short(name), "--run-dir", tmp_path / "run", "--resume")
     assert done.returncode == 0, done.stderr
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no signals to other processes")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_with_a_checkpoint(number, tmp_path):
-    longer = [*SHORT, "--total-timesteps", "100000000", "--eval-points", "2"]
-    process = subprocess.Popen(
-        command("mappo", *longer, "--run-dir", tmp_path / "run"), stderr=subprocess.PIPE, text=True
-    )
+@pytest.mark.parametrize(
+    ("name", "number"), [("mappo", signal.SIGINT), ("mappo", signal.SIGTERM), ("iql", signal.SIGINT)]
+)
+def test_a_signal_stops_with_a_checkpoint(name, number, tmp_path):
+    longer = [*short(name), "--total-timesteps", "100000000", "--eval-points", "2"]
+    process = subprocess.Popen(command(name, *longer, "--run-dir", tmp_path / "run"), stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "run" / "checkpoint.pt").exists():
         assert process.poll() is None
         time.sleep(0.05)
@@ -126,25 +139,44 @@ def test_a_signal_stops_with_a_checkpoint(number, tmp_path):
     process.send_signal(number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 1 and "--resume goes on" in said
-    assert script("mappo").read_checkpoint(tmp_path / "run")["progress"][3] > 0  # timesteps
+    assert script(name).read_checkpoint(tmp_path / "run")["progress"][2] > 0  # timesteps
+    assert (tmp_path / "run" / "replay.bin").exists() == (name in OFF_POLICY)
     assert len(evaluations(tmp_path / "run")) == 1
 
 
-def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch, capsys, tmp_path):
-    """As after Ctrl-C: a checkpoint between two evaluations, made when the third batch has been learned from."""
-    name, directory = finished
-    module, advance = script(name), script(name).Run.advance
+def stop_after(monkeypatch, capsys, name, directory, batches):
+    """Begins a short run, or goes on with it, and stops it as Ctrl-C does when so many batches have been collected."""
+    module, advance, left = script(name), script(name).Run.advance, iter(range(batches - 1, -1, -1))
 
-    def stop_at_three(self, steps, losses):
+    def stop(self, steps, losses):
         advance(self, steps, losses)
-        if self.updates == 3:
+        if next(left) == 0:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(module.Run, "advance", stop_at_three)
-    code, _ = main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(module.Run, "advance", stop)
+        code, _ = main(patch, capsys, name, *short(name), "--run-dir", directory, "--resume")
     assert "--resume goes on" in code
-    monkeypatch.setattr(module.Run, "advance", advance)
-    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run", "--resume")[0] == 0
+
+
+@pytest.mark.parametrize("batches", [3, 17])
+def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch, capsys, tmp_path, batches):
+    """A checkpoint between two evaluations, before a replay holds a batch, and when it does."""
+    name, directory = finished
+    stop_after(monkeypatch, capsys, name, tmp_path / "run", batches)
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert evaluations(tmp_path / "run") == evaluations(directory)
+
+
+def test_the_replay_keeps_what_the_checkpoint_before_refers_to(finished, monkeypatch, capsys, tmp_path):
+    """The last checkpoint is damaged, and since then the replay has gone on; the one before finds all its episodes."""
+    name, directory = finished
+    if name in ON_POLICY:
+        pytest.skip("no replay")
+    stop_after(monkeypatch, capsys, name, tmp_path / "run", 95)  # the replay holds 40, and saves at every tenth
+    (tmp_path / "run" / "checkpoint.pt").write_bytes(b"damaged")
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert not (tmp_path / "run" / "replay.bin").exists()
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
@@ -160,7 +192,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(finished, monkeypatch,
     damaged = copy_of(directory, tmp_path / "run")
     whole = (damaged / "checkpoint.pt").read_bytes()
     (damaged / "checkpoint.pt").write_bytes(whole[: len(whole) // 2])
-    code, said = main(monkeypatch, capsys, name, *SHORT, "--run-dir", damaged, "--resume")
+    code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", damaged, "--resume")
     assert code == 0 and "checkpoint.pt is damaged" in said
     assert evaluations(damaged) == evaluations(directory)
 
@@ -171,7 +203,7 @@ def test_killed_while_a_checkpoint_takes_its_place(finished, monkeypatch, capsys
     copy = copy_of(directory, tmp_path / "run")
     (copy / "checkpoint.pt").rename(copy / "checkpoint.new.pt")
     (copy / "checkpoint.previous.pt").write_bytes(b"damaged")
-    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", copy, "--resume")[0] == 0
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", copy, "--resume")[0] == 0
     assert evaluations(copy) == evaluations(directory)
 
 
@@ -179,7 +211,7 @@ def test_killed_in_the_first_checkpoint_starts_afresh(finished, monkeypatch, cap
     name, directory = finished
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "checkpoint.new.pt").write_bytes((directory / "checkpoint.pt").read_bytes()[:1000])
-    assert main(monkeypatch, capsys, name, *SHORT, "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
@@ -189,7 +221,7 @@ def test_nothing_but_damaged_checkpoints_is_refused(finished, monkeypatch, capsy
     for file in ("checkpoint.pt", "checkpoint.previous.pt"):
         whole = (damaged / file).read_bytes()
         (damaged / file).write_bytes(whole[: len(whole) // 2])
-    code, said = main(monkeypatch, capsys, name, *SHORT, "--run-dir", damaged, "--resume")
+    code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", damaged, "--resume")
     assert code == 2 and "no checkpoint of it that can be used" in said
     assert evaluations(damaged) == evaluations(directory)
 
@@ -198,11 +230,21 @@ def test_a_longer_run_continues_a_complete_one(finished, monkeypatch, capsys, tm
     """More timesteps on resume: what was there stays, and evaluations go on at the same distance."""
     name, directory = finished
     longer = copy_of(directory, tmp_path / "run")
-    flags = [*SHORT, "--total-timesteps", "24000", "--run-dir", longer, "--resume"]
-    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+    flags = [*short(name), "--total-timesteps", STEPS[name] * 12 // 10, "--run-dir", longer, "--resume"]
+    code, said = main(monkeypatch, capsys, name, *flags)
+    if name in OFF_POLICY:  # its replay is gone
+        assert code == 2 and "replay.bin" in said and evaluations(longer) == evaluations(directory)
+        return
     rows = evaluations(longer)
-    assert rows[:11] == evaluations(directory)
+    assert code == 0 and rows[:11] == evaluations(directory)
     assert [int(row["timestep"]) // 2000 for row in rows] == list(range(13))
+
+
+def test_a_complete_run_resumed_changes_nothing(finished, monkeypatch, capsys, tmp_path):
+    name, directory = finished
+    copy = copy_of(directory, tmp_path / "run")
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", copy, "--resume")[0] == 0
+    assert (copy / "evaluations.csv").read_text() == (directory / "evaluations.csv").read_text()
 
 
 class TestWrongInput:
@@ -262,54 +304,66 @@ class TestWrongInput:
 
     def test_tracking_without_wandb(self, monkeypatch, capsys, tmp_path):
         monkeypatch.setitem(sys.modules, "wandb", None)
-        said = self.refused(monkeypatch, capsys, *SHORT, "--track", "--run-dir", tmp_path / "run")
+        said = self.refused(monkeypatch, capsys, *short("mappo"), "--track", "--run-dir", tmp_path / "run")
         assert "wandb" in self.one_sentence(said)
 
     def test_a_directory_that_holds_a_run(self, finished, monkeypatch, capsys):
         name, directory = finished
         before = {path.name: path.read_bytes() for path in directory.iterdir()}
-        said = self.refused(monkeypatch, capsys, *SHORT, "--run-dir", directory, name=name)
+        said = self.refused(monkeypatch, capsys, *short(name), "--run-dir", directory, name=name)
         assert "--resume" in self.one_sentence(said)
         assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
 
     def test_a_directory_that_holds_something_else(self, monkeypatch, capsys, tmp_path):
         (tmp_path / "config.json").write_text("mine")
-        self.one_sentence(self.refused(monkeypatch, capsys, *SHORT, "--run-dir", tmp_path))
+        self.one_sentence(self.refused(monkeypatch, capsys, *short("mappo"), "--run-dir", tmp_path))
         assert (tmp_path / "config.json").read_text() == "mine"
 
     def test_a_directory_that_is_a_file(self, monkeypatch, capsys, tmp_path):
         (tmp_path / "file").write_text("mine")
-        self.one_sentence(self.refused(monkeypatch, capsys, *SHORT, "--run-dir", tmp_path / "file"))
+        self.one_sentence(self.refused(monkeypatch, capsys, *short("mappo"), "--run-dir", tmp_path / "file"))
         assert (tmp_path / "file").read_text() == "mine"
 
     def test_a_directory_in_use(self, finished, monkeypatch, capsys):
         name, directory = finished
         with script(name).filelock.FileLock(directory / "lock"):
-            said = self.refused(monkeypatch, capsys, *SHORT, "--run-dir", directory, "--resume", name=name)
+            said = self.refused(monkeypatch, capsys, *short(name), "--run-dir", directory, "--resume", name=name)
         assert str(directory) in self.one_sentence(said)
 
     def test_resume_with_other_flags(self, finished, monkeypatch, capsys):
         name, directory = finished
-        flags = [*SHORT, "--gamma", "0.5", "--run-dir", directory, "--resume"]
+        flags = [*short(name), "--gamma", "0.5", "--run-dir", directory, "--resume"]
         assert "--gamma 0.99" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
 
     def test_resume_with_fewer_timesteps(self, finished, monkeypatch, capsys):
         name, directory = finished
-        flags = [*SHORT, "--total-timesteps", "500", "--run-dir", directory, "--resume"]
+        flags = [*short(name), "--total-timesteps", "500", "--run-dir", directory, "--resume"]
         assert "--total-timesteps" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
 
     def test_resume_of_another_algorithm(self, finished, monkeypatch, capsys):
         name, directory = finished
-        other = "ippo" if name != "ippo" else "ia2c"
-        flags = [*SHORT, "--run-dir", directory, "--resume"]
+        other = next(other for other in (ON_POLICY if name in ON_POLICY else OFF_POLICY) if other != name)
+        flags = [*short(name), "--run-dir", directory, "--resume"]
         assert name in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=other))
 
-    def test_coma_refuses_individual_rewards(self, monkeypatch, capsys, tmp_path):
-        flags = [*SHORT, "--individual-rewards", "--run-dir", tmp_path / "run"]
-        assert "joint" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name="coma"))
+    @pytest.mark.parametrize(("name", "reason"), [("coma", "joint"), ("vdn", "one value"), ("qmix", "one value")])
+    def test_refused_individual_rewards(self, monkeypatch, capsys, tmp_path, name, reason):
+        flags = [*short(name), "--individual-rewards", "--run-dir", tmp_path / "run"]
+        assert reason in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
+
+    @pytest.mark.parametrize("flag", ["epsilon-anneal", "batch-size", "buffer-size"])
+    def test_zero_in_a_replay_or_schedule(self, monkeypatch, capsys, flag):
+        flags = ["--env", "matrix-climbing", f"--{flag}", "0"]
+        assert f"--{flag}" in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name="iql"))
+
+    def test_a_replay_that_does_not_fit(self, monkeypatch, capsys, tmp_path):
+        monkeypatch.setattr(envs.storage.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
+        said = self.refused(monkeypatch, capsys, *short("qmix"), "--run-dir", tmp_path / "run", name="qmix")
+        assert "more than the free memory" in said.splitlines()[-1]
+        assert not (tmp_path / "run" / "replay.bin").exists()
 
     def test_a_loss_that_is_no_number_stops_the_run(self, monkeypatch, capsys, tmp_path):
-        flags = [*SHORT, "--learning-rate", "1e30", "--run-dir", tmp_path / "run"]
+        flags = [*short("mappo"), "--learning-rate", "1e30", "--run-dir", tmp_path / "run"]
         code, _ = main(monkeypatch, capsys, "mappo", *flags)
         assert "loss is" in code and "step" in code
 

@@ -5,7 +5,7 @@ import collections
 import csv
 
 import pytest
-from scripts import NAMES, ROOT, script
+from scripts import NAMES, ON_POLICY, ROOT, script
 
 MAY_DIFFER = {"Args", "PAPER", "update", "train", "main"}
 FLAGS = {
@@ -101,8 +101,9 @@ def test_defaults_are_the_papers(name, family, sharing):
     for row in paper_rows(name):
         if row["family"] == family and (row["parameter_sharing"] == "yes") == sharing:
             assert args[FLAGS[row["name"]]] == as_flag(row["name"], row["value"])
-    on_policy = {"matrix": 2_500_000, "lbf": 20_000_000}[family]
-    assert args["total_timesteps"] in (on_policy, on_policy // 10)
+    budget = {"matrix": 2_500_000, "lbf": 20_000_000}[family]
+    assert args["total_timesteps"] == (budget if name in ON_POLICY else budget // 10)
+    assert args["time_limit"] == ("bootstrap" if name in ON_POLICY else "terminal")
     assert args["eval_points"] == {"matrix": 101, "lbf": 41}[family]
 
 

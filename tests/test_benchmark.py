@@ -80,7 +80,9 @@ def test_other_flags_do_not_mix(collect, monkeypatch, tmp_path):
     assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0"}
 
 
-@pytest.mark.parametrize("flags", [["--algos", "mappo", "coma"], ["--algos", "ia2c", "--", "--no-parameter-sharing"]])
+@pytest.mark.parametrize(
+    "flags", [["--algos", "mappo", "coma", "qmix", "maddpg"], ["--algos", "iql", "--", "--no-parameter-sharing"]]
+)
 def test_training_speed(flags):
     command = [sys.executable, "benchmark/training.py", "--env", "matrix-climbing", "--seconds", "1", *flags]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
@@ -105,3 +107,8 @@ def test_report_computes_as_the_paper_does(monkeypatch, tmp_path, capsys):
         *["matrix-climbing", "mappo", "2*", "5.00 +- 2.00", "175.00 +- 0.00"],
         *["3.67 +- 3.33", "170.76 +- 1.79", "5.00 +- 6.00"],
     ]
+
+    lines = ["seed,point,return_mean", "0,0,9", "0,1,4", "0,2,2"]
+    (folder / "mappo-shared.csv").write_text("\n".join(lines))
+    module.main()
+    assert "| 9.00 at step 0 |" in capsys.readouterr().out
