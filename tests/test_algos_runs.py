@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scripts import NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, script
+from scripts import NAMES, OFF_POLICY, ON_POLICY, ROOT, VALUE_BASED, envs, script
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "running", "--network", "gru"]
@@ -418,11 +418,13 @@ def test_scripts_run_from_any_folder(tmp_path):
     assert (tmp_path / "runs/matrix-climbing/mappo-shared/seed0/evaluations.csv").exists()
 
 
-@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_learns_the_penalty_game(name, seed, tmp_path, monkeypatch, capsys):
     """k = 0: every equilibrium that pays 10 a step is found, 250 an episode; random play earns 61."""
-    flags = ["--env", "matrix-penalty-0", "--seed", seed, "--total-timesteps", "150000", "--eval-points", "2"]
+    steps = 150_000 if name in ON_POLICY else 10_000
+    flags = ["--env", "matrix-penalty-0", "--seed", seed, "--total-timesteps", steps, "--eval-points", "2"]
     assert main(monkeypatch, capsys, name, *flags, "--run-dir", tmp_path / "run")[0] == 0
     rows = evaluations(tmp_path / "run")
-    assert float(rows[0]["return_mean"]) < 150 and float(rows[1]["return_mean"]) > 240
+    assert float(rows[0]["return_mean"]) < 150 or name in VALUE_BASED  # greedy before training: a lucky guess
+    assert float(rows[1]["return_mean"]) > 240
