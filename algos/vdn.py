@@ -226,9 +226,8 @@ class Replay:
         self.size = max(min(args.buffer_size, 1_000_000 // env.episode_limit), args.batch_size)
         self.spare = -(-self.size // 4)  # a checkpoint is due after so many episodes
         episode = np.dtype([(x, y.dtype, y.shape) for x, y in kept.items()])
-        slots = self.size + 2 * self.spare
-        envs.require_room(path, slots * episode.itemsize)
-        self.slots = np.memmap(path, episode, "r+" if env.episode > 0 else "w+", shape=(slots,))
+        envs.reserve(path, (self.size + 2 * self.spare) * episode.itemsize, new=env.episode == 0)
+        self.slots = np.memmap(path, episode, "r+")  # [slot]
 
     def state_dict(self) -> dict[str, Any]:
         """Nothing: a checkpoint refers to what it finds on the disk."""
@@ -372,7 +371,6 @@ class Run:
             self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
             self.rng.set_state(saved["rng"])
             self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
-        (self.directory / "config.json").write_text(json.dumps({"flags": vars(args), **envs.provenance()}, indent=2))
         if args.track:
             name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
             envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
@@ -383,7 +381,7 @@ class Run:
             signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
 
     def save(self) -> None:
-        """Writes the checkpoint, whole or not at all, keeps the one before it, and writes evaluations.csv."""
+        """Writes the checkpoint, whole or not at all, keeps the one before, and writes config.json, evaluations.csv."""
         saved: dict[str, Any] = {"algorithm": ALGORITHM, "flags": vars(self.args), "rng": self.rng.get_state()}
         saved["sizes"] = (self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network)
         saved["parts"] = {name: part.state_dict() for name, part in self.parts.items()}
@@ -393,6 +391,8 @@ class Run:
         if last.exists():
             last.replace(previous)
         new.replace(last)
+        config = {"flags": vars(self.args), **envs.provenance()}
+        (self.directory / "config.json").write_text(json.dumps(config, indent=2))
         table = [self.rows[0], *(row.values() for row in self.rows)]
         (self.directory / "evaluations.csv").write_text("".join(",".join(map(str, line)) + "\n" for line in table))
 

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from envs.provenance import provenance
-from envs.storage import require_room
+from envs.storage import reserve
 from envs.tasks import InputError, Task, task, task_names
 from envs.vector import VectorEnv
 
@@ -27,7 +27,7 @@ __all__ = [
     "make",
     "optional",
     "provenance",
-    "require_room",
+    "reserve",
     "task",
     "task_names",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import os
 import platform
@@ -12,6 +13,7 @@ from pathlib import Path
 PACKAGES = ("torch", "numpy", "gymnasium", "numba")
 
 
+@functools.cache
 def provenance() -> dict[str, object]:
     """Command, versions, commit and machine of this process, in plain types."""
     return {

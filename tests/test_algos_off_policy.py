@@ -1,5 +1,6 @@
 """The off-policy scripts: values, losses, exploration and replay, against hand-made cases and slow, obvious loops."""
 
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -513,20 +514,40 @@ class TestReplay:
         assert not path.exists()
 
 
-def test_room_counts_a_file_that_is_there(monkeypatch, tmp_path, capsys):
-    """And says what it needs, and what it found."""
-    path = tmp_path / "replay.bin"
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=5 * 2**20))
-    monkeypatch.setattr(psutil, "disk_usage", lambda path: SimpleNamespace(free=1 * 2**20))
-    with pytest.raises(envs.InputError, match="3 MiB, more than the free disk"):
-        envs.require_room(path, 3 * 2**20)
-    path.write_bytes(b"\0" * 2 * 2**20)
-    envs.require_room(path, 3 * 2**20)
-    said = capsys.readouterr().err.splitlines()
-    assert [(" 3 MiB" in line, "(1 free)" in line, "(3 free)" in line, "(5 free)" in line) for line in said] == [
-        (True, True, False, True),
-        (True, False, True, True),
-    ]
+class TestReserve:
+    @pytest.fixture(autouse=True)
+    def machine(self, monkeypatch):
+        """With five free MiB of memory and three of disk."""
+        monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=5 * 2**20))
+        monkeypatch.setattr(psutil, "disk_usage", lambda path: SimpleNamespace(free=3 * 2**20))
+
+    def test_a_new_file_takes_its_room_at_once(self, tmp_path, capsys):
+        path = tmp_path / "replay.bin"
+        path.write_bytes(b"of a run that left no checkpoint")
+        envs.reserve(path, 3 * 2**20, new=True)
+        assert path.read_bytes() == b"\0" * 3 * 2**20
+        if hasattr(os, "posix_fallocate"):
+            assert path.stat().st_blocks * 512 >= 3 * 2**20
+        (said,) = capsys.readouterr().err.splitlines()
+        assert "takes 3 MiB on the disk (3 free) and in memory (5 free)" in said
+
+    def test_a_file_to_go_on_with_is_left_as_it_is(self, tmp_path, capsys):
+        path = tmp_path / "replay.bin"
+        path.write_bytes(b"1" * 4 * 2**20)  # more than what is free besides
+        envs.reserve(path, 4 * 2**20, new=False)
+        assert path.read_bytes() == b"1" * 4 * 2**20
+        (said,) = capsys.readouterr().err.splitlines()
+        assert "takes 4 MiB in memory (5 free)" in said
+
+    def test_what_does_not_fit_is_refused(self, tmp_path):
+        for size, missing in ((4, "disk"), (6, "memory")):
+            with pytest.raises(envs.InputError, match=f"{size} MiB, more than the free {missing}"):
+                envs.reserve(tmp_path / "replay.bin", size * 2**20, new=True)
+        assert not (tmp_path / "replay.bin").exists()
+
+    def test_a_file_that_is_gone_is_refused(self, tmp_path):
+        with pytest.raises(envs.InputError, match="complete run deletes it"):
+            envs.reserve(tmp_path / "replay.bin", 2**20, new=False)
 
 
 # --- training ---
