@@ -49,9 +49,9 @@ def load_script(name: str) -> ModuleType:
     return module
 
 
-def reference_passes(module: Any, name: str, args: Any, env: Any) -> Callable[[], None]:
+def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
     """One batch of whole episodes, all as long as the time limit: ten on-policy, 32 of a replay off-policy."""
-    copies = 1 if args.parameter_sharing else env.n_agents
+    name, copies = module.ALGORITHM, 1 if args.parameter_sharing else env.n_agents
     ids = env.n_agents if args.parameter_sharing else 0
     replays = hasattr(args, "batch_size")
     steps = env.episode_limit + replays  # a replayed episode is valued in its last state too
@@ -91,14 +91,14 @@ def reference_passes(module: Any, name: str, args: Any, env: Any) -> Callable[[]
 class Clock:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
-    def __init__(self, module: Any, name: str, seconds: float, directory: Path):
-        self.module, self.name, self.seconds, self.directory = module, name, seconds, directory
+    def __init__(self, module: Any, seconds: float, directory: Path):
+        self.module, self.seconds, self.directory = module, seconds, directory
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
         self.timestep, self.updates, self.started = 0, 0, 0.0
 
     def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
-        self.env, self.passes = env, reference_passes(self.module, self.name, args, env)
+        self.env, self.passes = env, reference_passes(self.module, args, env)
         self.end = time.perf_counter() + self.seconds
         return self
 
@@ -148,7 +148,7 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
 
     module.envs.make = make_timed
     with tempfile.TemporaryDirectory() as directory:
-        clock = module.Run = Clock(module, name, seconds, Path(directory))
+        clock = module.Run = Clock(module, seconds, Path(directory))
         module.train(args)
     module.envs.make = make
     rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
