@@ -15,6 +15,8 @@ import pytest
 import torch
 from scripts import NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, script
 
+from envs import matrix
+
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "running", "--network", "gru"]
 STEPS = {name: 20_000 if name in ON_POLICY else 4000 for name in NAMES}
@@ -429,3 +431,30 @@ def test_learns_the_penalty_game(name, seed, tmp_path, monkeypatch, capsys):
     assert main(monkeypatch, capsys, name, *flags, "--run-dir", tmp_path / "run")[0] == 0
     rows = evaluations(tmp_path / "run")
     assert float(rows[0]["return_mean"]) < 150 and float(rows[1]["return_mean"]) > 240
+
+
+class Opponents(matrix.Env):
+    """The row pays the column's loss: with its own rewards in view, row 1 plays against column 1, for 2 a step."""
+
+    PAYOFF = np.array([[3, 1, 4], [5, 2, 6], [1, 0, 7]], np.float32)  # as a team they would play 7, or 0
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._step_arrays = (*self._step_arrays[:-1], self.PAYOFF)
+
+    def step_envs(self, actions):
+        refused = super().step_envs(actions)  # the team's reward remains the row's
+        self.agent_rewards[:, 1] *= -1
+        return refused
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("coma", "qmix", "vdn")])
+def test_opponents_learn_from_their_own_rewards(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(matrix, "Env", Opponents)
+    steps = 100_000 if name in ON_POLICY else 10_000
+    flags = ["--env", "matrix-climbing", "--seed", 1, "--total-timesteps", steps, "--eval-points", "2"]
+    flags += ["--individual-rewards", "--no-parameter-sharing", "--run-dir", tmp_path / "run"]
+    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+    rows = evaluations(tmp_path / "run")
+    assert float(rows[0]["return_mean"]) > 70
+    assert float(rows[1]["return_mean"]) == pytest.approx(50, abs=3)
