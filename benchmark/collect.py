@@ -6,7 +6,8 @@
     results/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...].json    their flags; where each seed was made
 
 A run is complete when its last evaluation stands at its budget. Seeds that a table already has and that are no longer
-in the runs folder stay in it. A budget other than the paper's is part of the name, as every other changed flag is.
+in the runs folder stay in it. A budget other than the paper's is part of the name, as every other changed flag is. All
+seeds of a table have equally many evaluations: a run that was lengthened keeps its old distances, and may not fit.
 """
 
 import argparse
@@ -49,17 +50,21 @@ def read_run(directory: Path) -> tuple[Path, dict, list[dict[str, str]]] | None:
 
 
 def add(target: Path, config: dict, rows: list[dict[str, str]]) -> None:
-    """Puts one seed into its table and settings. Raises ValueError where its flags are not those of the other seeds."""
+    """Puts one seed into its table and settings. Raises ValueError where it differs from the other seeds in its flags
+    or in the number of its evaluations."""
     seed = config["flags"]["seed"]
     flags = {name: value for name, value in config["flags"].items() if name not in PER_RUN}
     origin = {name: value for name, value in config.items() if name not in ("flags", "command")}
     settings_path, table_path = Path(f"{target}.json"), Path(f"{target}.csv")
     settings = json.loads(settings_path.read_text()) if settings_path.exists() else {"flags": flags, "seeds": {}}
     if settings["flags"] != flags:
-        changed = sorted(name for name in flags if settings["flags"].get(name) != flags[name])
+        names = flags.keys() | settings["flags"].keys()
+        changed = sorted(name for name in names if settings["flags"].get(name) != flags.get(name))
         raise ValueError(f"{table_path} was made with another {', '.join(changed)}")
     settings["seeds"] = dict(sorted({**settings["seeds"], str(seed): origin}.items(), key=lambda item: int(item[0])))
     table = [row for row in read_csv(table_path) if int(row["seed"]) != seed]
+    if table and len(table) != len(rows) * len({row["seed"] for row in table}):
+        raise ValueError(f"it has {len(rows)} evaluations, unlike the seeds in {table_path}")
     table += [{"seed": str(seed), **row} for row in rows]
     table.sort(key=lambda row: (int(row["seed"]), int(row["point"])))
 
@@ -72,19 +77,25 @@ def add(target: Path, config: dict, rows: list[dict[str, str]]) -> None:
 
 
 def main() -> None:
-    """Collects what is complete, and says what was left out."""
+    """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="?", type=Path, default=Path("runs"))
-    for path in sorted(parser.parse_args().runs.glob("*/*/seed*")):
-        found = read_run(path)
-        if found is None:
-            print(f"{path}: not complete, left out")
-            continue
+    runs = parser.parse_args().runs
+    paths, wrong = sorted(runs.glob("*/*/seed*")), False
+    if not paths:
+        parser.error(f"there are no runs in {runs}")
+    for path in paths:
         try:
-            add(*found)
-        except ValueError as error:
-            sys.exit(f"{path}: {error}")
-        print(f"{path}: in {found[0].relative_to(RESULTS.parent.parent)}.csv")
+            if found := read_run(path):
+                add(*found)
+                print(f"{path}: in {found[0].relative_to(RESULTS.parent.parent)}.csv")
+            else:
+                print(f"{path}: not complete, left out")
+        except (ValueError, OSError) as error:  # an unknown task, other flags, a file that is missing or damaged
+            print(f"{path}: left out, {error}", file=sys.stderr)
+            wrong = True
+    if wrong:
+        sys.exit(2)
 
 
 if __name__ == "__main__":

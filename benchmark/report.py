@@ -9,9 +9,10 @@ intervals are this with n = 5. Fewer seeds are marked with a star; a single one 
 behind the algorithm is a budget other than the paper's: its average does not compare.
 """
 
+import argparse
 import csv
 import json
-import sys
+import re
 from collections import defaultdict
 from pathlib import Path
 
@@ -35,15 +36,22 @@ def paper_cell(paper: dict[tuple[str, ...], tuple[str, str]], *key: str) -> str:
 
 def main() -> None:
     """Prints the table."""
+    paths = sorted((HERE / "results").glob("*/*.csv"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="*", metavar="task", help="only these; default: all that have results")
+    chosen = parser.parse_args().tasks
+    if unknown := sorted(set(chosen) - {path.parent.name for path in paths}):
+        parser.error(f"there are no results of {', '.join(unknown)}")
     with open(HERE / "paper" / "returns.csv") as file:
         rows = list(csv.DictReader(file))
     keys = ("metric", "parameter_sharing", "task", "algorithm")
     paper = {tuple(row[key] for key in keys): (row["mean"], row["ci95"]) for row in rows}
     print("| task | algorithm | seeds | maximum | paper | average | paper | last |")
     print("|---|---|---|---|---|---|---|---|")
-    for path in sorted((HERE / "results").glob("*/*.csv")):
-        task, (algorithm, sharing, *changed) = path.parent.name, path.stem.split("-", 2)
-        if sys.argv[1:] and task not in sys.argv[1:]:
+    for path in paths:
+        task, (algorithm, sharing, *rest) = path.parent.name, path.stem.split("-", 2)
+        changed = re.findall("[a-z][a-z-]*=.*?(?=-[a-z][a-z-]*=|$)", "".join(rest))  # <flag>=<value> each
+        if chosen and task not in chosen:
             continue
         curves = defaultdict(list)
         with open(path) as file:

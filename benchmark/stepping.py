@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import re
+import sys
 import time
 from collections.abc import Callable
 
@@ -49,14 +50,17 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
 
 
 def original(name: str) -> Callable[[], int] | None:
-    """Plays one episode of the package that the task comes from, or None where there is none."""
+    """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
     match = re.fullmatch(r"lbf-(\d+)x(\d+)-(\d+)p-(\d+)f(-2s)?(-c)?(?:-v3)?", name)
     if match is None:
         return None
-    from lbforaging.foraging import ForagingEnv
-
+    try:
+        package = envs.optional("lbforaging.foraging", "test")
+    except envs.InputError as error:
+        print(error, file=sys.stderr)
+        return None
     rows, columns, players, foods = (int(match[i]) for i in range(1, 5))
-    env = ForagingEnv(
+    env = package.ForagingEnv(
         players=players,
         min_player_level=1,
         max_player_level=2,
@@ -88,6 +92,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")
     parser.add_argument("--copy", action="store_true", help="measure with copy=True")
     args = parser.parse_args()
+    try:
+        for name in args.tasks:
+            envs.task(name)
+    except envs.InputError as error:
+        parser.error(str(error))
+    if min(args.num_envs) < 1 or args.seconds <= 0:
+        parser.error("--num-envs and --seconds must be positive")
 
     print(f"{'task':<24}{'original':>12}" + "".join(f"{number:>12} envs" for number in args.num_envs))
     for name in args.tasks:

@@ -22,6 +22,8 @@ from typing import Any
 import torch
 from torch import nn
 
+import envs
+
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
 
 
@@ -167,13 +169,17 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
 def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--algos", nargs="+", default=["mappo"])
+    names = sorted(path.stem for path in ALGOS.glob("*.py"))
+    parser.add_argument("--algos", nargs="+", default=["mappo"], choices=names, metavar="algo", help=", ".join(names))
     parser.add_argument("--env", default="lbf-15x15-3p-5f")
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     chosen = parser.parse_args()
     for name in chosen.algos:
-        measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
+        try:
+            measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
+        except envs.InputError as error:
+            parser.error(str(error))
 
 
 if __name__ == "__main__":

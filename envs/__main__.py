@@ -1,7 +1,8 @@
-"""`python -m envs`: the paper's tasks in a table. `python -m envs <name> ...`: those tasks."""
+"""`python -m envs`: the paper's tasks that are here, in a table. `python -m envs <name> ...`: those tasks."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 
 import envs
@@ -17,8 +18,11 @@ def row(name: str) -> tuple[str, ...]:
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
 
-def main(names: list[str]) -> int:
+def main(argv: list[str]) -> int:
     """Print the table; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m envs", description="Tasks, their sizes and the paper's budgets.")
+    parser.add_argument("names", nargs="*", metavar="name", help="of a task; default: the paper's that are here")
+    names = parser.parse_args(argv).names
     try:
         table = [HEADER, *(row(name) for name in names or envs.task_names())]
     except envs.InputError as error:

@@ -57,7 +57,7 @@ PAPER_TASKS = (
 
 
 def task_names() -> list[str]:
-    """The names of the paper's tasks; the grammar above makes many more."""
+    """The names of the paper's tasks, as far as their families are here; the grammar above makes many more."""
     return list(PAPER_TASKS)
 
 

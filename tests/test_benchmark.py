@@ -71,13 +71,67 @@ def test_another_budget_is_another_table(collect, monkeypatch, tmp_path):
     assert len(table(collect, "mappo-shared-total-timesteps=1000")) == 2
 
 
-def test_other_flags_do_not_mix(collect, monkeypatch, tmp_path):
+def test_other_flags_do_not_mix(collect, monkeypatch, tmp_path, capsys):
     make_run(tmp_path / "first", 0, [0, 2_500_000])
     run_collect(collect, monkeypatch, tmp_path / "first")
     make_run(tmp_path / "second", 1, [0, 2_500_000], gamma=0.5)
-    with pytest.raises(SystemExit, match="gamma"):
+    make_run(tmp_path / "second", 2, [0, 2_500_000])
+    with pytest.raises(SystemExit, match="2"):
         run_collect(collect, monkeypatch, tmp_path / "second")
+    assert "seed1: left out" in (said := capsys.readouterr().err) and "another gamma" in said
+    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0", "2"}
+
+
+def test_a_flag_that_only_the_table_knows_is_named(collect, monkeypatch, tmp_path, capsys):
+    make_run(tmp_path / "runs", 0, [0, 2_500_000])
+    run_collect(collect, monkeypatch, tmp_path / "runs")
+    path = collect.RESULTS / "matrix-climbing" / "mappo-shared.json"
+    settings = json.loads(path.read_text())
+    settings["flags"]["clip_coef"] = 0.2
+    path.write_text(json.dumps(settings))
+    with pytest.raises(SystemExit):
+        run_collect(collect, monkeypatch, tmp_path / "runs")
+    assert "another clip_coef" in capsys.readouterr().err
+
+
+def test_a_lengthened_run_does_not_mix(collect, monkeypatch, tmp_path, capsys):
+    """Begun with a smaller budget, it has more evaluations than the others, at other steps."""
+    make_run(tmp_path / "runs", 0, [0, 2_500_000])
+    make_run(tmp_path / "runs", 1, [0, 1_250_000, 2_500_000])
+    with pytest.raises(SystemExit):
+        run_collect(collect, monkeypatch, tmp_path / "runs")
+    assert "3 evaluations" in capsys.readouterr().err
     assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0"}
+    make_run(tmp_path / "again", 0, [0, 1_250_000, 2_500_000])  # alone in its table, it takes its own place
+    run_collect(collect, monkeypatch, tmp_path / "again")
+    assert len(table(collect, "mappo-shared")) == 3
+
+
+def test_a_run_that_lacks_its_settings_does_not_stop_the_others(collect, monkeypatch, tmp_path, capsys):
+    make_run(tmp_path / "runs", 0, [0, 2_500_000])
+    make_run(tmp_path / "runs", 1, [0, 2_500_000])
+    (tmp_path / "runs" / "matrix-climbing" / "mappo-shared" / "seed0" / "config.json").unlink()
+    with pytest.raises(SystemExit):
+        run_collect(collect, monkeypatch, tmp_path / "runs")
+    assert "config.json" in capsys.readouterr().err
+    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"1"}
+
+
+@pytest.mark.parametrize(
+    "command, said",
+    [
+        ("collect.py nowhere", "no runs in nowhere"),
+        ("report.py nothing", "no results of nothing"),
+        ("stepping.py --tasks nothing", "unknown task 'nothing'"),
+        ("stepping.py --num-envs 0", "must be positive"),
+        ("training.py --env nothing", "unknown task 'nothing'"),
+        ("training.py --algos nothing", "invalid choice: 'nothing'"),
+    ],
+)
+def test_wrong_input_is_one_sentence(command, said):
+    name, *flags = command.split()
+    done = subprocess.run([sys.executable, f"benchmark/{name}", *flags], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -112,3 +166,11 @@ def test_report_computes_as_the_paper_does(monkeypatch, tmp_path, capsys):
     (folder / "mappo-shared.csv").write_text("\n".join(lines))
     module.main()
     assert "| 9.00 at step 0 |" in capsys.readouterr().out
+
+    changed = "mappo-independent-network=gru-total-timesteps=1000-learning-rate=1e-05"
+    (folder / "mappo-shared.csv").rename(folder / f"{changed}.csv")
+    (folder / "mappo-shared.json").unlink()
+    (folder / f"{changed}.json").write_text(json.dumps({"flags": {"total_timesteps": 1000}}))
+    module.main()
+    label = "| mappo, no sharing, network=gru, 1,000 steps, learning-rate=1e-05 | 1* |"
+    assert label in capsys.readouterr().out
