@@ -1,6 +1,7 @@
 """The off-policy scripts: values, losses, exploration and replay, against hand-made cases and slow, obvious loops."""
 
 import os
+from copy import deepcopy
 from types import SimpleNamespace
 
 import numpy as np
@@ -198,6 +199,52 @@ def test_losses_of_the_first_update(name, individual, time_limit, sharing, netwo
     for optimiser, parameters in learning.items():
         for parameter, gradient in zip(parameters, gradients[optimiser]):
             torch.testing.assert_close(parameter.grad, gradient, rtol=1e-3, atol=1e-5)
+
+
+def slow_update(name, args, parts, batch):
+    """An update by the slow losses; the critic of MADDPG first. Returns the norms of the gradients before clipping."""
+    norms = []
+    for optimiser, parameters in reversed(learning_parameters(parts).items()):
+        torch.manual_seed(1)
+        if name == "maddpg":
+            noise = -torch.empty(*batch.actions.shape, N_ACTIONS).exponential_().log()
+            losses = slow_maddpg_losses(args, parts, batch, noise)
+        else:
+            losses = slow_value_losses(name, args, parts, batch)
+        gradients = torch.autograd.grad(losses[LOSSES[optimiser]], parameters)
+        norms.append(float(torch.cat([x.flatten() for x in gradients]).norm()))
+        for parameter, gradient in zip(parameters, gradients):
+            parameter.grad = gradient * min(1.0, args.max_grad_norm / norms[-1])
+        parts[optimiser].step()
+    with torch.no_grad():
+        for part in {"agents", "mixer", "critic"} & parts.keys():
+            for old, new in zip(parts[f"target_{part}"].parameters(), parts[part].parameters()):
+                old.copy_(0.99 * old + 0.01 * new)
+    return norms
+
+
+@pytest.mark.parametrize("name", OFF_POLICY)
+def test_updates_in_a_row(name):
+    """Adam, clipping and soft targets with the losses: a mistake in what one update leaves to the next shows here."""
+    module = script(name)
+    args = make_args(module, network="gru", reward_standardisation="batch", target_update="soft")
+    torch.manual_seed(0)
+    parts = make_parts(module, args)
+    for optimiser, parameters in learning_parameters(parts).items():
+        parts[optimiser] = torch.optim.Adam(parameters, lr=0.01, fused=True)
+    slow, start, batch, norms = deepcopy(parts), deepcopy(parts), make_batch(args), []
+    args.max_grad_norm = 0.95 * max(slow_update(name, args, deepcopy(parts), batch))
+    for updates in range(1, 6):
+        norms += slow_update(name, args, slow, batch)
+        torch.manual_seed(1)
+        module.update(args, parts, batch, updates)
+    assert min(norms) < args.max_grad_norm < max(norms)  # some were clipped
+    for part in [x for x in parts if isinstance(parts[x], torch.nn.Module) and x != "standardiser"]:
+        moved = 0.0
+        for ours, theirs, before in zip(parts[part].parameters(), slow[part].parameters(), start[part].parameters()):
+            torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5)
+            moved = max(moved, float((ours - before).detach().abs().max()))
+        assert moved > (1e-4 if part.startswith("target") else 1e-2)
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
