@@ -13,7 +13,7 @@ episodes from the replay. Q', mu' are old or slowly moving copies; mu' takes the
 Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments", 2017. Tables: Papoudakis et al.,
 "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks", 2021; as there, a time-out is an
 end. Its code left out the steps that end an episode, trained on padding and began the target GRU one step late; we do
-none of this, and expect better results than its column shows.
+none of this, and expect better results in foraging than its column shows.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c               train with the paper's hyperparameters
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0

@@ -56,7 +56,7 @@ class Args:
     total_timesteps: int = 2_000_000  # steps of all environments together
     parameter_sharing: bool = True  # one set of networks for all agents, or one for each
     network: Literal["fc", "gru"] = "fc"  # core of the agents' networks
-    hidden_dim: int = 128  # width of all layers
+    hidden_dim: int = 128  # width of the agents' layers
     learning_rate: float = 0.0005  # of Adam
     gamma: float = 0.99  # discount
     epsilon_start: float = 1.0  # share of random actions at first
