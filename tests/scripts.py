@@ -10,6 +10,8 @@ import torch
 
 import envs
 
+torch.set_num_threads(1)  # as the scripts do: tiny networks, and tests run side by side
+
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
 VALUE_BASED = [name for name in NAMES if name in ("iql", "vdn", "qmix")]
@@ -65,7 +67,6 @@ def trained(monkeypatch, name: str, batches: int, env: str = "lbf-5x5-2p-1f", **
     for flag, value in flags.items():
         assert hasattr(args, flag)
         setattr(args, flag, value)
-    torch.set_num_threads(1)
     module.train(args)
     return run
 

@@ -258,56 +258,6 @@ def test_every_parameter_learns(monkeypatch, name, sharing, network, individual)
     assert all(parameter.grad is None for parameter in run.parts["target_critic"].parameters())
 
 
-def slow_losses(module, name, args, parts, batch):
-    """Losses of the first update by loops over steps, environments and agents; fc networks that agents share."""
-    agents, critic = parts["agents"], parts["critic"]
-    steps, n_envs, n_agents = batch.actions.shape
-    view = batch.states.unsqueeze(2) if name in ("maa2c", "mappo") else batch.observations
-    values = critic(view)[0].squeeze(-1).detach()
-    returns = torch.zeros(steps, n_envs, n_agents)
-    critic_terms, actor_terms = [], []
-    probabilities = agents(batch.observations)[0].softmax(-1).detach()
-    for e in range(n_envs):
-        length = int(batch.played[:, e].sum())
-        for t in range(length):
-            for i in range(n_agents):
-                end = min(t + args.n_step, length)
-                total = sum(args.gamma ** (k - t) * float(batch.rewards[k, e, 0]) for k in range(t, end))
-                if not (end == length and batch.terminated[length - 1, e]):
-                    total += args.gamma ** (end - t) * float(values[end, e, i])
-                returns[t, e, i] = total
-                p = probabilities[t, e, i]
-                advantage = total - float(values[t, e, i])
-                entropy = -float((p * p.log()).sum())
-                critic_terms.append(advantage**2)
-                gain = advantage if "ppo" in name else advantage * math.log(float(p[batch.actions[t, e, i]]))
-                actor_terms.append(-(gain + args.entropy_coef * entropy))
-    return np.mean(critic_terms), np.mean(actor_terms)
-
-
-@pytest.mark.parametrize("name", [name for name in ON_POLICY if name != "coma"])
-def test_losses_of_the_first_update(monkeypatch, name):
-    """Against slow_losses, with the target critic still equal to the critic; a PPO ratio is 1 in the first epoch."""
-    module = script(name)
-    args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=4, seed=5)
-    if "ppo" in name:
-        args.update_epochs = 1
-    env = envs.make(args.env, 4, 5, copy=False)
-    rng = torch.manual_seed(5)
-    agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
-    critic = module.AgentNetworks(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
-    parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
-    parts["standardiser"] = module.RewardStandardiser("none")
-    for part in ("actor", "critic"):
-        parameters = (agents if part == "actor" else critic).parameters()
-        parts[f"{part}_optimiser"] = torch.optim.SGD(parameters, lr=0.0)
-    batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
-    expected = slow_losses(module, name, args, parts, batch)
-    losses = module.update(args, parts, batch, 1)
-    assert losses["critic"].item() == pytest.approx(expected[0], rel=1e-4)
-    assert losses["actor"].item() == pytest.approx(expected[1], rel=1e-4)
-
-
 @pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
 def test_loss_of_the_second_epoch_is_clipped(name):
     """By the cases of the PPO paper: a ratio above 1.2 does not help a good action, one below 0.8 not a bad one."""
@@ -399,49 +349,3 @@ class TestComa:
                 )
                 expected = [value - baseline_first, value - baseline_second]
                 assert advantages.flatten().tolist() == pytest.approx(expected, rel=1e-4, abs=1e-6)
-
-    def test_losses_of_the_first_update(self):
-        """One environment, one agent at a time, by loops: n-step returns of taken values, summed over the agents."""
-        module = script("coma")
-        args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=4, seed=5)
-        env = envs.make(args.env, 4, 5, copy=False)
-        rng = torch.manual_seed(5)
-        n, n_actions = env.n_agents, env.n_actions
-        agents = module.AgentNetworks(args, n, env.obs_size, n_actions)
-        critic = module.AgentNetworks(args, n, env.state_size + n * n_actions, n_actions)
-        parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
-        parts["standardiser"] = module.RewardStandardiser("none")
-        parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
-        parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
-        batch.terminated = batch.played.cumsum(0) == batch.played.sum(0)  # as if all episodes had ended for good
-        losses = module.update(args, parts, batch, 1, rng)
-
-        probs = agents(batch.observations)[0].softmax(-1).detach()
-        critic_terms, actor_terms = [], []
-        for e in range(4):
-            length = int(batch.played[:, e].sum())
-            values = torch.zeros(length, n, n_actions)
-            for t in range(length):
-                for i in range(n):
-                    one_hots = torch.zeros(n, n_actions)
-                    for j in range(n):
-                        if j != i:
-                            one_hots[j, batch.actions[t, e, j]] = 1
-                    x = torch.cat([batch.states[t, e], one_hots.flatten()]).expand(1, 1, n, -1)
-                    values[t, i] = critic(x)[0][0, 0, i].detach()  # as agent i's critic sees it
-            for t in range(length):
-                squares = 0.0
-                for i in range(n):
-                    end = min(t + args.n_step, length)
-                    total = sum(args.gamma ** (k - t) * float(batch.rewards[k, e, 0]) for k in range(t, end))
-                    if end < length:
-                        total += args.gamma ** (end - t) * float(values[end, i, batch.actions[end, e, i]])
-                    action, p = int(batch.actions[t, e, i]), probs[t, e, i]
-                    squares += (total - float(values[t, i, action])) ** 2
-                    advantage = float(values[t, i, action] - (p * values[t, i]).sum())
-                    entropy = -float((p * p.log()).sum())
-                    actor_terms.append(-(advantage * math.log(float(p[action])) + args.entropy_coef * entropy))
-                critic_terms.append(squares)
-        assert losses["critic"].item() == pytest.approx(np.mean(critic_terms), rel=1e-4)
-        assert losses["actor"].item() == pytest.approx(np.mean(actor_terms), rel=1e-4)

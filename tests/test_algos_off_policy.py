@@ -9,16 +9,24 @@ import psutil
 import pytest
 import torch
 from scripts import OFF_POLICY, VALUE_BASED, FakeRun, envs, script, trained
+from slow import (
+    LENGTHS,
+    N_ACTIONS,
+    N_AGENTS,
+    OBS_SIZE,
+    REAL_ENDS,
+    STATE_SIZE,
+    assert_learnt_alike,
+    make_batch,
+    one_hot,
+    slow_rewards,
+    slow_step,
+    slow_target,
+    step_by_step,
+)
 
-N_AGENTS, N_ACTIONS, OBS_SIZE, STATE_SIZE = 3, 4, 5, 7
-LENGTHS = [6, 1, 4, 6, 3]  # of episodes
-REAL_ENDS = [True, False, False, False, True]  # the others run out of time
 REWARDS = [(name, False) for name in OFF_POLICY] + [("iql", True), ("maddpg", True)]  # of the team, or of each agent
 LOSSES = {"optimiser": "value_error", "actor_optimiser": "actor", "critic_optimiser": "critic"}  # what each lowers
-
-
-def one_hot(action):
-    return torch.eye(N_ACTIONS)[action]
 
 
 def best(values, available):
@@ -53,51 +61,6 @@ def learning_parameters(parts):
 def make_args(module, **flags):
     """Flags for `update`: no clipping and targets that stay, unless the test says otherwise."""
     return module.Args(**{"hidden_dim": 8, "max_grad_norm": 1e9, "target_update": "hard"} | flags)
-
-
-def make_batch(args, garbage=False):
-    """Random episodes of unequal lengths that end in both ways. garbage: what stands in the rows that nobody played."""
-    generator = torch.Generator().manual_seed(0)
-    steps, n_envs = max(LENGTHS), len(LENGTHS)
-    masks = torch.rand(steps + 1, n_envs, N_AGENTS, N_ACTIONS, generator=generator) < 0.5
-    available = torch.randint(N_ACTIONS, masks.shape[:-1], generator=generator)  # at least this one
-    batch = SimpleNamespace(
-        observations=torch.randn(steps + 1, n_envs, N_AGENTS, OBS_SIZE, generator=generator),
-        states=torch.randn(steps + 1, n_envs, STATE_SIZE, generator=generator),
-        action_masks=masks.scatter(-1, available.unsqueeze(-1), True),
-        actions=available[:-1].clone(),
-        rewards=torch.randn(steps, n_envs, N_AGENTS if args.individual_rewards else 1, generator=generator) + 2.0,
-        played=torch.zeros(steps, n_envs, dtype=torch.bool),
-        terminated=torch.zeros(steps, n_envs, dtype=torch.bool),
-    )
-    for e, length in enumerate(LENGTHS):
-        batch.played[:length, e] = True
-        batch.terminated[length - 1 :, e] = REAL_ENDS[e] or args.time_limit == "terminal"
-        for rows in (batch.observations, batch.states, batch.action_masks):
-            rows[length + 1 :, e] = 1e6 * garbage
-        batch.rewards[length:, e] = 1e6 * garbage
-        batch.actions[length:, e] = garbage
-        if garbage:
-            batch.terminated[length:, e] = False
-    return batch
-
-
-def step_by_step(agents, observations):
-    """Outputs [time][agent, action] for one episode's observations [time, agent, obs], one step after another."""
-    outputs, hidden = [], None
-    for row in observations:
-        output, hidden = agents(row[None, None], hidden)
-        outputs.append(output[0, 0])
-    return outputs
-
-
-def slow_rewards(args, batch):
-    """Rewards [time, env, agent], of the team or of each, standardised over what was played."""
-    rewards = batch.rewards.expand(-1, -1, N_AGENTS)
-    if args.reward_standardisation == "none":
-        return rewards
-    seen = [float(x) for e, length in enumerate(LENGTHS) for x in batch.rewards[:length, e].flatten()]
-    return (rewards - np.mean(seen)) / (np.std(seen, ddof=1) + 1e-5)
 
 
 def slow_mix(mixer, values, state):
@@ -204,22 +167,16 @@ def test_losses_of_the_first_update(name, individual, time_limit, sharing, netwo
 def slow_update(name, args, parts, batch):
     """An update by the slow losses; the critic of MADDPG first. Returns the norms of the gradients before clipping."""
     norms = []
-    for optimiser, parameters in reversed(learning_parameters(parts).items()):
+    for optimiser in reversed(learning_parameters(parts)):
         torch.manual_seed(1)
         if name == "maddpg":
             noise = -torch.empty(*batch.actions.shape, N_ACTIONS).exponential_().log()
             losses = slow_maddpg_losses(args, parts, batch, noise)
         else:
             losses = slow_value_losses(name, args, parts, batch)
-        gradients = torch.autograd.grad(losses[LOSSES[optimiser]], parameters)
-        norms.append(float(torch.cat([x.flatten() for x in gradients]).norm()))
-        for parameter, gradient in zip(parameters, gradients):
-            parameter.grad = gradient * min(1.0, args.max_grad_norm / norms[-1])
-        parts[optimiser].step()
-    with torch.no_grad():
-        for part in {"agents", "mixer", "critic"} & parts.keys():
-            for old, new in zip(parts[f"target_{part}"].parameters(), parts[part].parameters()):
-                old.copy_(0.99 * old + 0.01 * new)
+        norms.append(slow_step(parts[optimiser], losses[LOSSES[optimiser]], args.max_grad_norm))
+    for part in {"agents", "mixer", "critic"} & parts.keys():
+        slow_target(parts[f"target_{part}"], parts[part])
     return norms
 
 
@@ -239,12 +196,7 @@ def test_updates_in_a_row(name):
         torch.manual_seed(1)
         module.update(args, parts, batch, updates)
     assert min(norms) < args.max_grad_norm < max(norms)  # some were clipped
-    for part in [x for x in parts if isinstance(parts[x], torch.nn.Module) and x != "standardiser"]:
-        moved = 0.0
-        for ours, theirs, before in zip(parts[part].parameters(), slow[part].parameters(), start[part].parameters()):
-            torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5)
-            moved = max(moved, float((ours - before).detach().abs().max()))
-        assert moved > (1e-4 if part.startswith("target") else 1e-2)
+    assert_learnt_alike(parts, slow, start)
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
