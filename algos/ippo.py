@@ -14,8 +14,8 @@ from the one that gathered the experience. V' is a slowly moving copy of the cri
 De Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?" (2020). Tables:
 Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks" (2021); as
 there, no GAE, no minibatches, no normalised advantages, no clipped values. We deviate from its code in two points: an
-episode that runs out of time keeps its last reward and bootstraps from the state after it (there, a value replaced the
-reward); standardised rewards take their mean and deviation from played steps only (there, padding counted).
+episode keeps its last reward (there, a value replaced it, at real ends too) and one that runs out of time bootstraps
+from the state after it; standardised rewards take their mean and deviation from played steps only, not from padding.
 
     python algos/ippo.py --env lbf-15x15-3p-5f               train with the paper's hyperparameters
     python algos/ippo.py --watch runs/lbf-15x15-3p-5f/ippo-shared/seed0
@@ -158,7 +158,7 @@ def n_step_returns(rewards: Tensor, values: Tensor, played: Tensor, terminated: 
     """
     values = torch.cat([values[:1], values[1:].masked_fill(terminated.unsqueeze(-1), 0.0)])
     returns = values
-    for _ in range(n):  # from k-step to (k + 1)-step returns, at all times at once
+    for _ in range(min(n, len(rewards))):  # from k-step to (k + 1)-step returns, at all times at once
         longer = torch.where(played.unsqueeze(-1), rewards + gamma * returns[1:], values[:-1])
         returns = torch.cat([longer, values[-1:]])
     return returns[:-1]
@@ -318,7 +318,7 @@ def parse(argv: list[str]) -> Args:
     paper, _ = tyro.cli(paper_defaults, args=[x for x in argv if x not in ("-h", "--help")], return_unknown_args=True)
     args = tyro.cli(Args, args=argv, default=paper, description=__doc__)
     for name, value in vars(args).items():
-        if type(value) in (int, float) and not value >= (type(value) is int and name != "seed"):  # counts begin at 1
+        if type(value) in (int, float) and not (type(value) is int and name != "seed") <= value < 2**63:
             raise envs.InputError(f"--{name.replace('_', '-')} cannot be {value}.")
     if args.device == "cuda" and not torch.cuda.is_available():
         raise envs.InputError("--device cuda: PyTorch finds no CUDA device here.")
@@ -327,10 +327,9 @@ def parse(argv: list[str]) -> Args:
 
 def read_checkpoint(directory: Path) -> dict[str, Any] | None:
     """The last checkpoint that is whole; None where there is none yet. InputError where all are damaged."""
-    paths = [directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new")]
-    for path in filter(Path.exists, paths):
-        try:
-            return torch.load(path, map_location="cpu", weights_only=True)
+    for path in filter(Path.exists, (directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))):
+        try:  # what is not a checkpoint has no algorithm
+            return {"algorithm": None} | torch.load(path, map_location="cpu", weights_only=True)
         except Exception:  # torch.load raises almost anything on a damaged file
             print(f"{path} is damaged and cannot be used.", file=sys.stderr)
     if (directory / "evaluations.csv").exists():  # it is written after a checkpoint
@@ -355,7 +354,7 @@ class Run:
     def __init__(self, args: Args, env: Any, parts: dict[str, Any], rng: torch.Generator):
         self.args, self.env, self.parts, self.rng, self.stop_signal = args, env, parts, rng, 0
         self.timestep, self.updates, self.budget, self.rows = 0, 0, args.total_timesteps, list[dict[str, float]]()
-        self.wall_start, self.cpu_start = time.time(), time.process_time()
+        self.wall_start, self.cpu_start, self.begun = time.time(), time.process_time(), 0
         self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
         name = f"{ALGORITHM}-{'shared' if args.parameter_sharing else 'independent'}"
         for flag, default in vars(paper_defaults(args.env, args.parameter_sharing)).items():
@@ -364,8 +363,9 @@ class Run:
         safe = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (args.env, name, f"seed{args.seed}"))
         self.directory = Path(args.run_dir or Path("runs", *safe))
         self.lock = filelock.FileLock(self.directory / "lock").acquire(timeout=0)
-        if not args.resume and any(path.name != "lock" for path in self.directory.iterdir()):
-            raise envs.InputError(f"{self.directory} holds a run already: add --resume, or choose another --run-dir.")
+        found = {path.name.split(".")[0] for path in self.directory.iterdir()} - {"lock"}
+        if found and not (args.resume and found & {"events", "checkpoint"}):
+            raise envs.InputError(f"{self.directory} is not empty: --resume goes on with a run; or choose a --run-dir.")
         if saved := read_checkpoint(self.directory):  # go on where it was made, if that was with the same flags
             then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(args) | {"algorithm": ALGORITHM}
             changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
@@ -376,7 +376,7 @@ class Run:
                 part.load_state_dict(saved["parts"][name])
             self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
             self.rng.set_state(saved["rng"])
-            self.wall_start, self.cpu_start = self.wall_start - wall, self.cpu_start - cpu
+            self.wall_start, self.cpu_start, self.begun = self.wall_start - wall, self.cpu_start - cpu, self.timestep
         if args.track:
             name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
             envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
@@ -393,12 +393,12 @@ class Run:
         saved["parts"] = {name: part.state_dict() for name, part in self.parts.items()}
         saved["progress"] = (self.env.episode, self.rows, self.timestep, self.updates, self.budget, self.wall, self.cpu)
         last, previous, new = (self.directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))
-        torch.save(saved, new)
+        with open(new, "wb") as file:  # given a path, torch.save ends on a full disk with a RuntimeError
+            torch.save(saved, file)
         if last.exists():
             last.replace(previous)
         new.replace(last)
-        config = {"flags": vars(self.args), **envs.provenance()}
-        (self.directory / "config.json").write_text(json.dumps(config, indent=2))
+        (self.directory / "config.json").write_text(json.dumps({"flags": saved["flags"]} | envs.provenance(), indent=2))
         table = [self.rows[0], *(row.values() for row in self.rows)]
         (self.directory / "evaluations.csv").write_text("".join(",".join(map(str, line)) + "\n" for line in table))
 
@@ -419,7 +419,8 @@ class Run:
             self.save()
         if self.timestep < self.args.total_timesteps and not self.stop_signal:
             return True
-        self.save()
+        if self.timestep > self.begun:  # a complete run stays as it is
+            self.save()
         self.bar.close()
         self.writer.close()
         if self.stop_signal:
@@ -466,9 +467,9 @@ def main() -> None:
         torch.set_num_threads(args.threads)
         if not args.watch:
             return train(args)
-        team = load(args.watch)
+        team = load(args.watch, args.seed)
         env = envs.make(team.args.env, args.eval_episodes)
-        print(evaluate(env, team, team.args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
+        print(evaluate(env, team, args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
     except (envs.InputError, OSError) as error:  # OSError: a directory in use or not to be written, a full disk
         print(f"{ALGORITHM}: {error}", file=sys.stderr)
         sys.exit(2)

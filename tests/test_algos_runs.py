@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -248,7 +249,16 @@ def test_a_complete_run_resumed_changes_nothing(finished, monkeypatch, capsys, t
     name, directory = finished
     copy = copy_of(directory, tmp_path / "run")
     assert main(monkeypatch, capsys, name, *short(name), "--run-dir", copy, "--resume")[0] == 0
-    assert (copy / "evaluations.csv").read_text() == (directory / "evaluations.csv").read_text()
+    for file in WRITTEN:  # config.json tells which commit completed it
+        assert (copy / file).read_bytes() == (directory / file).read_bytes()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file that is always full")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_full_disk_ends_in_one_sentence(monkeypatch, capsys, tmp_path, name):
+    (tmp_path / "checkpoint.new.pt").symlink_to("/dev/full")
+    code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path, "--resume")
+    assert code == 2 and "No space left" in said.splitlines()[-1]
 
 
 class TestWrongInput:
@@ -323,6 +333,22 @@ class TestWrongInput:
         self.one_sentence(self.refused(monkeypatch, capsys, *short("mappo"), "--run-dir", tmp_path))
         assert (tmp_path / "config.json").read_text() == "mine"
 
+    def test_resume_where_there_is_no_run(self, monkeypatch, capsys, tmp_path):
+        (tmp_path / "config.json").write_text("mine")
+        self.one_sentence(self.refused(monkeypatch, capsys, *short("mappo"), "--run-dir", tmp_path, "--resume"))
+        assert (tmp_path / "config.json").read_text() == "mine"
+
+    @pytest.mark.parametrize("saved", [{"weights": torch.zeros(2)}, torch.zeros(2)])
+    def test_watching_a_checkpoint_of_something_else(self, monkeypatch, capsys, tmp_path, saved):
+        torch.save(saved, tmp_path / "checkpoint.pt")
+        said = self.refused(monkeypatch, capsys, "--watch", tmp_path)
+        assert "no checkpoint of mappo" in said.splitlines()[-1]
+
+    @pytest.mark.parametrize("flag, value", [("seed", 2**64), ("hidden-dim", 2**63), ("learning-rate", "inf")])
+    def test_numbers_without_measure(self, monkeypatch, capsys, flag, value):
+        said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "matrix-climbing", f"--{flag}", value))
+        assert f"--{flag}" in said
+
     def test_a_directory_that_is_a_file(self, monkeypatch, capsys, tmp_path):
         (tmp_path / "file").write_text("mine")
         self.one_sentence(self.refused(monkeypatch, capsys, *short("mappo"), "--run-dir", tmp_path / "file"))
@@ -367,7 +393,7 @@ class TestWrongInput:
         assert not (tmp_path / "run" / "replay.bin").exists()
 
     def test_a_loss_that_is_no_number_stops_the_run(self, monkeypatch, capsys, tmp_path):
-        flags = [*short("mappo"), "--learning-rate", "1e30", "--run-dir", tmp_path / "run"]
+        flags = [*short("mappo"), "--learning-rate", "1e18", "--run-dir", tmp_path / "run"]
         code, _ = main(monkeypatch, capsys, "mappo", *flags)
         assert "loss is" in code and "step" in code
 
@@ -403,6 +429,13 @@ def test_load_from_anywhere_and_watch(finished, monkeypatch, capsys, tmp_path):
 
     with Image.open(copy / "film.gif") as film:
         assert getattr(film, "n_frames", 1) > 3
+
+
+def test_the_seed_says_which_episodes_are_watched(finished, monkeypatch, capsys):
+    (name, directory), seen = finished, []
+    monkeypatch.setattr(envs, "film", lambda env, team, path: seen.append((env.seed, team.rng.initial_seed())))
+    assert main(monkeypatch, capsys, name, "--watch", directory, "--eval-episodes", 3, "--seed", 5)[0] == 0
+    assert seen == [(5, 5)]
 
 
 def test_the_loaded_team_plays_like_the_last_evaluation(finished):
