@@ -118,8 +118,8 @@ class AgentNetworks(nn.Module):
         """x: [time, env, agent (1 if all see the same), input] -> [time, env, agent, output]; hidden: one a network."""
         n = len(self.networks)
         views = [x] if n == 1 else x.expand(-1, -1, n, -1).split(1, dim=2)
-        results = [net(view, h) for net, view, h in zip(self.networks, views, hidden or [None] * n)]
-        return torch.cat([output for output, _ in results], dim=2), [h for _, h in results]
+        outputs, latest = zip(*(net(view, h) for net, view, h in zip(self.networks, views, hidden or [None] * n)))
+        return outputs[0] if n == 1 else torch.cat(outputs, dim=2), list(latest)
 
 
 # --- maths ---
