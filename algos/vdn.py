@@ -312,7 +312,7 @@ def parse(argv: list[str]) -> Args:
     paper, _ = tyro.cli(paper_defaults, args=[x for x in argv if x not in ("-h", "--help")], return_unknown_args=True)
     args = tyro.cli(Args, args=argv, default=paper, description=__doc__)
     for name, value in vars(args).items():
-        if type(value) in (int, float) and not (type(value) is int and name != "seed") <= value < 2**63:
+        if type(value) in (int, float) and not (type(value) is int and name != "seed") <= value < 2**63:  # counts: 1 on
             raise envs.InputError(f"--{name.replace('_', '-')} cannot be {value}.")
     if args.device == "cuda" and not torch.cuda.is_available():
         raise envs.InputError("--device cuda: PyTorch finds no CUDA device here.")
