@@ -34,7 +34,7 @@ def slow_values(name, critic, batch, t, e, actions):
 
 
 def slow_returns(name, args, parts, batch, last_actions):
-    """n-step returns [time][agent] of each environment, by their definition, with the target critic."""
+    """For each environment its n-step returns [time, agent], by their definition, with the target critic."""
     rewards, returns = slow_rewards(args, batch), []
     for e, length in enumerate(LENGTHS):
         returns.append(torch.zeros(length, N_AGENTS))

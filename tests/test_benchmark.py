@@ -128,7 +128,7 @@ def test_a_run_that_lacks_its_settings_does_not_stop_the_others(collect, monkeyp
         ("training.py --algos nothing", "invalid choice: 'nothing'"),
     ],
 )
-def test_wrong_input_is_one_sentence(command, said):
+def test_wrong_input_is_named(command, said):
     name, *flags = command.split()
     done = subprocess.run([sys.executable, f"benchmark/{name}", *flags], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
