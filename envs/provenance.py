@@ -15,13 +15,14 @@ PACKAGES = ("torch", "numpy", "gymnasium", "numba")
 
 @functools.cache
 def provenance() -> dict[str, object]:
-    """Command, versions, commit and machine of this process, in plain types."""
+    """Command, versions, commit, machine and preloaded libraries of this process, in plain types."""
     return {
         "command": sys.argv,
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
         "commit": _commit(),
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "preloaded": os.environ.get("LD_PRELOAD", ""),  # such as a library that changes what MKL computes
     }
 
 

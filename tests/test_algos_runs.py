@@ -87,7 +87,7 @@ def test_what_a_run_leaves(finished):
         assert due <= int(row["timestep"]) < due + longest
     config = json.loads((directory / "config.json").read_text())
     assert config["flags"]["env"] == "lbf-5x5-2p-1f" and config["versions"]["torch"] == torch.__version__
-    assert set(config) == {"flags", "command", "python", "versions", "commit", "machine"}
+    assert set(config) == {"flags", "command", "python", "versions", "commit", "machine", "preloaded"}
 
 
 def test_same_seed_same_file(finished, tmp_path):
