@@ -11,13 +11,18 @@
     info["agent_rewards"]  float32 [num_envs, n_agents]              each agent's own reward
     info["state"]          float32 [num_envs, state_size]            where the state is the observations: a view of them
     info["action_mask"]    bool    [num_envs, n_agents, n_actions]   always at least one action
+    info["statistics"]     dict of float32 [num_envs]                what a family reports of an episode besides its
+                                                                     return; valid where an episode has just ended
+    env.teams              for each agent the number of its team; all 0 in cooperative tasks
 
 Nothing resets by itself (autoreset mode DISABLED). A finished sub-environment stands still, with reward 0 and its flag
-up, until a reset: of all, or of those that options["reset_mask"] (bool [num_envs]) names.
+up, until a reset: of all, or of those that options["reset_mask"] (bool [num_envs]) names. Where teams oppose each
+other, the team's reward is that of team 0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -55,8 +60,13 @@ class VectorEnv(GymnasiumVectorEnv):
         low: float,
         high: float,
         state_size: int | None = None,
+        statistics: Sequence[str] = (),
+        teams: Sequence[int] | None = None,
     ) -> None:
-        """low, high: the bounds of an observation's values. state_size: None where the state is the observations."""
+        """low, high: the bounds of an observation's values. state_size: None where the state is the observations.
+
+        statistics: names of what `self.statistics` reports of each episode. teams: None where all agents are one team.
+        """
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
         self.name, self.num_envs, self.copy = name, num_envs, copy
@@ -75,20 +85,35 @@ class VectorEnv(GymnasiumVectorEnv):
         self.truncated = np.zeros(num_envs, np.bool_)
         self.agent_rewards = np.zeros((num_envs, n_agents), np.float32)
         self.action_mask = np.ones((num_envs, n_agents, n_actions), np.bool_)
+        self.statistics = {name: np.zeros(num_envs, np.float32) for name in statistics}
+        self.teams = tuple(teams) if teams is not None else (0,) * n_agents
         self.state_is_observations = state_size is None
-        self.state = (
-            self.observations.reshape(num_envs, -1)
-            if state_size is None
-            else np.zeros((num_envs, state_size), np.float32)
-        )
-        self.info: Info = {"agent_rewards": self.agent_rewards, "state": self.state, "action_mask": self.action_mask}
-        self._info_keys = frozenset(self.info)
-        self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
+        if state_size is not None:
+            self.state = np.zeros((num_envs, state_size), np.float32)
+        self._connect()
         self._episodes = np.zeros(num_envs, np.int64)  # episodes begun, per sub-environment
         self._shape = (num_envs, n_agents)
         self._begun = np.zeros(num_envs, np.bool_)
         self._ready = False
         self._set_seed(seed)
+
+    def _connect(self) -> None:
+        """Build what refers to the arrays: the state where it is a view, and the results of `reset` and `step`."""
+        if self.state_is_observations:
+            self.state = self.observations.reshape(self.num_envs, -1)
+        self.info: Info = {
+            "agent_rewards": self.agent_rewards,
+            "state": self.state,
+            "action_mask": self.action_mask,
+            "statistics": self.statistics,
+        }
+        self._info_keys = frozenset(self.info)
+        self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
+
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        """A copy (copy.deepcopy, pickle) has arrays of its own, but a view of an array comes as a second array."""
+        self.__dict__.update(attributes)
+        self._connect()
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """Begin episode episodes[i] in each sub-environment i of the mask; flags and rewards are already cleared."""
@@ -179,8 +204,12 @@ class VectorEnv(GymnasiumVectorEnv):
                     del self.info[key]
             return self._result
         observations = self.observations.copy()
-        info = {key: value.copy() for key, value in self.info.items() if key != "state"}
-        info["state"] = observations.reshape(self.state.shape) if self.state_is_observations else self.state.copy()
+        info = {
+            "agent_rewards": self.agent_rewards.copy(),
+            "state": observations.reshape(self.state.shape) if self.state_is_observations else self.state.copy(),
+            "action_mask": self.action_mask.copy(),
+            "statistics": {name: values.copy() for name, values in self.statistics.items()},
+        }
         return observations, self.rewards.copy(), self.terminated.copy(), self.truncated.copy(), info
 
     def _as_actions(self, actions: Any) -> NDArray[np.int64]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,6 +39,7 @@ class Counting(envs.VectorEnv):
             low=0,
             high=99,
             state_size=1,
+            statistics=["steps"],
         )
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
@@ -55,6 +59,7 @@ class Counting(envs.VectorEnv):
         self.rewards[:] = going
         self.agent_rewards[:] = going[:, None]
         self.terminated |= self.state[:, 0] == np.arange(self.num_envs) + 2
+        self.statistics["steps"][:] = self.state[:, 0]
         return -1
 
 
@@ -76,7 +81,7 @@ def test_shapes_kinds_and_spaces(name: str) -> None:
         assert observations.shape == (4, agents, size) and observations.dtype == np.float32
         assert env.observation_space.contains(observations)
         assert env.single_observation_space.contains(observations[0])
-        assert info.keys() == {"agent_rewards", "state", "action_mask"}
+        assert info.keys() == {"agent_rewards", "state", "action_mask", "statistics"}
         assert info["agent_rewards"].shape == (4, agents) and info["agent_rewards"].dtype == np.float32
         assert info["state"].shape == (4, env.state_size) and info["state"].dtype == np.float32
         assert np.shares_memory(info["state"], observations)
@@ -103,6 +108,35 @@ def test_a_state_of_its_own() -> None:
     assert not np.shares_memory(info["state"], observations)
     env.step(np.zeros((3, 2), int))
     assert info["state"].tolist() == [[1]] * 3  # a copy
+
+
+def test_statistics_are_copied_too() -> None:
+    env = Counting()
+    _, info = env.reset()
+    env.step(np.zeros((3, 2), int))
+    assert info["statistics"].keys() == {"steps"} and not info["statistics"]["steps"].any()
+    assert env.step(np.zeros((3, 2), int))[-1]["statistics"]["steps"].tolist() == [2, 2, 2]
+    assert Counting(copy=False).reset()[1]["statistics"]["steps"].dtype == np.float32
+
+
+def test_one_team_unless_a_family_says_otherwise() -> None:
+    assert envs.make("lbf-8x8-3p-2f").teams == (0, 0, 0)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", TASKS)
+def test_a_copied_environment_goes_on_by_itself(name: str, duplicate: Callable[[envs.VectorEnv], Any]) -> None:
+    """Its state remains a view of its own observations, and it plays what the original plays."""
+    env = envs.make(name, 3, seed=4, copy=False)
+    env.reset()
+    twin = duplicate(env)
+    for t in range(5):
+        actions = np.full((3, env.n_agents), t % 3)
+        ours, theirs = env.step(actions), twin.step(actions)
+        for a, b in zip(arrays(ours), arrays(theirs), strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert not np.shares_memory(a, b)
+        assert np.shares_memory(theirs[-1]["state"], theirs[0])
 
 
 # --- Randomness --------------------------------------------------------------------------------------------------
@@ -262,7 +296,8 @@ def test_gymnasium_counts_episodes_right(name: str, copy: bool) -> None:
 
 
 def arrays(outcome: tuple[Any, ...]) -> list[NDArray[Any]]:
-    return [*outcome[:-1], *outcome[-1].values()]
+    info = dict(outcome[-1])
+    return [*outcome[:-1], *info.pop("statistics").values(), *info.values()]
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -299,9 +334,8 @@ def test_without_copies_the_same_arrays_return(name: str) -> None:
         again, copied = env.step(actions), copying.step(actions)
         assert again is outcome
         assert all(a is b for a, b in zip(arrays(again), arrays(outcome), strict=True))
-        for a, b in zip(again[:-1], copied[:-1], strict=True):
+        for a, b in zip(arrays(again), arrays(copied), strict=True):
             np.testing.assert_array_equal(a, b)
-        assert all((again[-1][key] == copied[-1][key]).all() for key in copied[-1])
 
 
 # --- Actions -----------------------------------------------------------------------------------------------------
