@@ -1,103 +1,122 @@
 """MAA2C: multi-agent advantage actor-critic.
 
-Every agent has a policy of its own observation (the actor). A critic that sees the state of the whole game, and is
-needed in training only, tells how good a situation is. Ten environments each play one episode; then the policies make
-one gradient step towards the actions that went better than the critic expected. V' is a slowly moving copy of the
-critic V.
+Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
+critic, needed in training only, sees the state of the whole game and tells how much reward is still
+to come. Ten environments play one episode each. Then the policies make one gradient step towards
+the actions that went better than the critic expected. V' is a slowly moving copy of the critic V: a
+target that does not run away from the network that learns it.
 
-    G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(s_{t+n})       n-step return
-    A_t       = G_t - V(s_t)                                                                  advantage
+    G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(s_{t+n})
+    A_t       = G_t - V(s_t)
     L(critic) = mean (G_t - V(s_t))^2
-    L(actor)  = - mean [ A_t log pi(a_t | o_t) + entropy_coef H(pi(. | o_t)) ]
+    L(actor)  = - mean [ A_t log pi(a_t | o_t) + e H(pi(. | o_t)) ]
 
-Mnih et al., "Asynchronous Methods for Deep Reinforcement Learning" (2016). Tables:
-Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms in Cooperative Tasks" (2021); as
-there, no GAE, no normalised advantages, one gradient step a batch. We deviate from its code in two points: an episode
-keeps its last reward (there, a value replaced it, at real ends too) and one that runs out of time bootstraps from the
-state after it; standardised rewards take their mean and deviation from played steps only, not from padding.
+G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. Without A the step
+would make all actions likelier that were taken; A makes those likelier that were better than usual,
+and the others rarer.
 
-    python algos/maa2c.py --env lbf-15x15-3p-5f               train with the paper's hyperparameters
+Algorithm: the paper named next, which gives the A2C of Mnih et al. (2016) a critic of the state.
+Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
+in Cooperative Tasks" (2021). As in that paper there is no GAE, and advantages are not normalised.
+We differ from the paper's code in two points. It replaced the last reward of an episode by a value;
+here the reward stays, and if time ran out, the value of the state after it is added. It also
+counted padding when it standardised rewards.
+
+    python algos/maa2c.py --env lbf-15x15-3p-5f
     python algos/maa2c.py --watch runs/lbf-15x15-3p-5f/maa2c-shared/seed0
 """
 
-import json
-import re
-import signal
 import sys
-import time
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-import filelock
 import numpy as np
 import torch
-import tyro
 from torch import Tensor, nn
-from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
 
 import envs
+from envs import VectorEnv, runs
 
-# What the paper's search chose, by family of tasks: with parameter sharing, without; its budget is the on-policy one.
+# What the paper's search chose for each family of tasks, with and without parameter sharing.
 PAPER_BUDGET = "on_policy_timesteps"
-PAPER_ARGS = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step".split()
+PAPER_FLAGS = (
+    "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
+)
 PAPER = {
-    "matrix": ((128, 0.0003, "batch", "fc", 0.001, "soft", 10), (64, 0.0005, "batch", "fc", 0.001, "soft", 10)),
-    "mpe": ((128, 0.0005, "batch", "gru", 0.01, "soft", 5), (128, 0.0003, "batch", "gru", 0.01, "soft", 5)),
-    "smac": ((128, 0.0005, "batch", "fc", 0.01, "soft", 5), (128, 0.0005, "batch", "fc", 0.01, "soft", 5)),
-    "lbf": ((128, 0.0005, "batch", "gru", 0.01, "soft", 10), (128, 0.0005, "batch", "gru", 0.01, "soft", 5)),
-    "rware": ((64, 0.0005, "batch", "fc", 0.01, "soft", 5), (64, 0.0005, "batch", "fc", 0.01, "soft", 5)),
+    ("matrix", "shared"): (128, 0.0003, "batch", "fc", 0.001, "soft", 10),
+    ("matrix", "independent"): (64, 0.0005, "batch", "fc", 0.001, "soft", 10),
+    ("mpe", "shared"): (128, 0.0005, "batch", "gru", 0.01, "soft", 5),
+    ("mpe", "independent"): (128, 0.0003, "batch", "gru", 0.01, "soft", 5),
+    ("smac", "shared"): (128, 0.0005, "batch", "fc", 0.01, "soft", 5),
+    ("smac", "independent"): (128, 0.0005, "batch", "fc", 0.01, "soft", 5),
+    ("lbf", "shared"): (128, 0.0005, "batch", "gru", 0.01, "soft", 10),
+    ("lbf", "independent"): (128, 0.0005, "batch", "gru", 0.01, "soft", 5),
+    ("rware", "shared"): (64, 0.0005, "batch", "fc", 0.01, "soft", 5),
+    ("rware", "independent"): (64, 0.0005, "batch", "fc", 0.01, "soft", 5),
 }
 
 
 @dataclass
 class Args:
+    # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    seed: int = 0  # of networks, environments and actions
-    total_timesteps: int = 20_000_000  # steps of all environments together
-    parameter_sharing: bool = True  # one set of networks for all agents, or one for each
-    network: Literal["fc", "gru"] = "fc"  # core of the agents' networks; critics are always fc
+    seed: int = 0  # decides the first weights, the episodes and the sampled actions
+    total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
+    num_envs: int = 10  # environments side by side; a batch is one episode of each
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # after a time-out: value or 0
+    individual_rewards: bool = False  # each agent learns from its own reward, not from the team's
+    # network
+    parameter_sharing: bool = True  # one network for all agents, or one for each
+    network: Literal["fc", "gru"] = "fc"  # the core of the actors; a critic's core is always fc
     hidden_dim: int = 128  # width of all layers
+    # learning
     learning_rate: float = 0.0005  # of Adam, for actor and critic
     gamma: float = 0.99  # discount
-    n_step: int = 5  # rewards in a return before it bootstraps
+    n_step: int = 5  # rewards in a return before it continues with a value
     entropy_coef: float = 0.001  # weight of the policies' entropy
-    max_grad_norm: float = 10.0  # gradients are clipped to this norm, actor and critic apart
-    target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % after each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # over the batch, or all rewards so far
-    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # value of the state after a time-out, or zero
-    individual_rewards: bool = False  # each agent learns from its own reward instead of the team's
-    num_envs: int = 10  # environments side by side; a batch is one episode of each
+    max_grad_norm: float = 10.0  # actor's and critic's gradients are clipped to this norm; or inf
+    target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by this batch, or by all
+    # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
+    # run
     device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
     threads: int = 1  # CPU threads of PyTorch
-    run_dir: str = ""  # default: runs/<task>/<algorithm>-<sharing>.../seed<seed>
-    resume: bool = False  # go on from the last checkpoint if there is one
-    watch: str = ""  # play the team of this run directory and film it instead of training
+    run_dir: str = ""  # where the run is kept (default: runs/<task>/<algorithm>-.../seed<seed>)
+    resume: bool = False  # go on from the last checkpoint, if there is one
+    watch: str = ""  # play and film the team of this run directory instead of training
     track: bool = False  # follow the run in Weights & Biases
 
 
 # --- networks ---
 class Network(nn.Module):
-    """Linear - ReLU - core - Linear, the core a GRU or Linear - ReLU; if agents share it, it sees their one-hot ids."""
+    """Linear - ReLU - core - Linear. The core is a GRU, or Linear - ReLU.
+
+    Agents that share a network also feed it their one-hot id. The one-hot is never built, because
+    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b: an id only adds a column of the weights.
+    """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
         super().__init__()
         self.sizes = [input_size, n_ids]
         self.first = nn.Linear(input_size + n_ids, hidden_dim)
-        self.core = nn.GRU(hidden_dim, hidden_dim) if core == "gru" else nn.Linear(hidden_dim, hidden_dim)
+        kind = {"gru": nn.GRU, "fc": nn.Linear}[core]
+        self.core = kind(hidden_dim, hidden_dim)
         self.last = nn.Linear(hidden_dim, output_size)
 
     def forward(self, x: Tensor, hidden: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
-        """x: [time, env, agent, input] -> [time, env, agent, output]; hidden: [1, env * agent, hidden_dim] or None."""
+        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output].
+
+        hidden: the GRU's state, [1, env * agent, hidden_dim]; None at the start of an episode.
+        """
         weight, id_weight = self.first.weight.split(self.sizes, dim=1)
         x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
-        if id_weight.numel() > 0:  # times a one-hot id: one column for each agent
-            x = x + id_weight.T.contiguous()
+        if id_weight.numel() > 0:
+            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
             rows, hidden = self.core(x.flatten(1, 2), hidden)
@@ -105,65 +124,84 @@ class Network(nn.Module):
         return self.last(torch.relu(self.core(x))), None
 
 
-class AgentNetworks(nn.Module):
-    """One network for all agents (parameter sharing), or one for each."""
+class MultiAgentNetwork(nn.Module):
+    """One network for all agents (parameter sharing), or one for each. Actors, and critics too."""
 
-    def __init__(self, args: Args, n_agents: int, input_size: int, output_size: int, core: str = "fc"):
+    def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
-        copies, n_ids = (1, n_agents) if args.parameter_sharing else (n_agents, 0)
-        sizes = (input_size, n_ids, args.hidden_dim, output_size)
-        self.networks = nn.ModuleList(Network(*sizes, core) for _ in range(copies))
+        copies = 1 if args.parameter_sharing else n_agents
+        n_ids = n_agents if args.parameter_sharing else 0
+        networks = [Network(inputs, n_ids, args.hidden_dim, outputs, core) for _ in range(copies)]
+        self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (1 if all see the same), input] -> [time, env, agent, output]; hidden: one a network."""
+        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output].
+
+        hidden: a state for each network; None at the start of an episode.
+        """
         n = len(self.networks)
-        views = [x] if n == 1 else x.expand(-1, -1, n, -1).split(1, dim=2)
-        outputs, latest = zip(*(net(view, h) for net, view, h in zip(self.networks, views, hidden or [None] * n)))
-        return outputs[0] if n == 1 else torch.cat(outputs, dim=2), list(latest)
+        if hidden is None:
+            hidden = [None] * n
+        if n == 1:
+            output, state = self.networks[0](x, hidden[0])
+            return output, [state]
+        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # each agent's own
+        outputs, states = zip(*(self.networks[i](views[i], hidden[i]) for i in range(n)))
+        return torch.cat(outputs, dim=2), list(states)
 
 
 # --- maths ---
 class RewardStandardiser(nn.Module):
-    """Rewards to mean 0 and deviation 1, over each batch ("batch") or over all batches so far ("running")."""
+    """Gives rewards mean 0 and deviation 1, over each batch ("batch") or all so far ("running")."""
 
     def __init__(self, method: str):
         super().__init__()
         self.method = method
-        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squared deviations
+        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, squared errors
 
     def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
-        """rewards: [time, env, 1 or agent]; played: [time, env]. Statistics pool played steps, and agents."""
+        """rewards: [time, env, 1 or agent]; played: [time, env]. Only played steps are counted."""
         if self.method == "none":
             return rewards
         sample = rewards[played].double()
-        count, mean, squares = sample.numel(), sample.mean(), (sample - sample.mean()).square().sum()
-        if self.method == "running":  # join this sample and what was seen before (Chan et al., 1979)
+        count = sample.numel()
+        mean = sample.mean()
+        squares = (sample - mean).square().sum()
+        if self.method == "running":  # joins the sample with what was seen (Chan et al., 1979)
             seen_count, seen_mean, seen_squares = self.seen.clone()
-            total, shift = seen_count + count, mean - seen_mean
+            total = seen_count + count
+            shift = mean - seen_mean
             squares += seen_squares + shift.square() * seen_count * count / total
-            count, mean = total, seen_mean + shift * count / total
+            mean = seen_mean + shift * count / total
+            count = total
             self.seen.copy_(torch.stack([count, mean, squares]))
-        return ((rewards - mean) / ((squares / max(count - 1, 1)).sqrt() + 1e-5)).float()
+        deviation = (squares / max(count - 1, 1)).sqrt()
+        return ((rewards - mean) / (deviation + 1e-5)).float()
 
 
-def n_step_returns(rewards: Tensor, values: Tensor, played: Tensor, terminated: Tensor, gamma: float, n: int) -> Tensor:
-    """Discounted sum of the next n rewards, plus the discounted value of the state after them.
+def n_step_returns(
+    rewards: Tensor, values: Tensor, played: Tensor, no_bootstrap: Tensor, gamma: float, n: int
+) -> Tensor:
+    """The discounted sum of the next n rewards, plus the discounted value of the state after them.
 
-    The sum ends where the episode does, with nothing if it terminated, with the value of its last state otherwise.
-    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], of the state before each step and after the last;
-    played: [time, env] bool; terminated: [time, env] bool, True from the end on. Returns [time, env, agent].
+    Where fewer than n are left, the value is that of the last state; or 0, if the game was over.
+    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], before each step and at last;
+    played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
-    values = torch.cat([values[:1], values[1:].masked_fill(terminated.unsqueeze(-1), 0.0)])
-    returns = values
-    for _ in range(min(n, len(rewards))):  # from k-step to (k + 1)-step returns, at all times at once
-        longer = torch.where(played.unsqueeze(-1), rewards + gamma * returns[1:], values[:-1])
+    after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
+    values = torch.cat([values[:1], after])
+    returns = values  # with 0 rewards
+    for _ in range(min(n, len(rewards))):  # from k to k + 1 rewards, at all times at once
+        longer = rewards + gamma * returns[1:]
+        longer = torch.where(played.unsqueeze(-1), longer, values[:-1])
         returns = torch.cat([longer, values[-1:]])
     return returns[:-1]
 
 
 def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
-    """log pi(. | o), [..., action]; finite, so that an entropy is, where the probability of a masked action is 0."""
-    return torch.log_softmax(torch.where(action_masks, logits, torch.finfo(logits.dtype).min), dim=-1)
+    """log pi(. | o), [..., action]. Not -inf for masked actions, so p log p is 0 and not NaN."""
+    lowest = torch.finfo(logits.dtype).min
+    return torch.log_softmax(torch.where(action_masks, logits, lowest), dim=-1)
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
@@ -171,271 +209,172 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
+def explained_variance(values: Tensor, returns: Tensor, played: Tensor) -> Tensor:
+    """The share of the returns' variance that the critic foresees: 1 is all, 0 is nothing."""
+    return 1 - (returns - values)[played].var() / returns[played].var()
+
+
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
-    """Draws from softmax(logits) over the available actions (the Gumbel-max trick): [..., action] -> [...]"""
+    """Draws from softmax(logits) over the available actions: [..., action] -> [...].
+
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
+    """
     minus_gumbel = torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits - minus_gumbel, -torch.inf).argmax(-1)
 
 
 # --- experience ---
-class SamplingTeam:
-    """Agents at play, drawing actions from their policies."""
+class Batch(NamedTuple):
+    """Whole episodes side by side. `time + 1`: there is also a row for the state after the end."""
 
-    def __init__(self, args: Args, agents: AgentNetworks, rng: torch.Generator):
-        self.args, self.agents, self.rng = args, agents, rng
+    observations: Tensor  # [time + 1, env, agent, obs]
+    states: Tensor  # [time + 1, env, state]; if the state is the observations: the same memory
+    action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
+    actions: Tensor  # [time, env, agent], int
+    rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
+    played: Tensor  # [time, env], bool: False once the episode has ended
+    no_bootstrap: Tensor  # [time, env], bool: the state after this step counts for nothing
+
+
+class SamplingTeam:
+    """Agents at play. They draw their actions from their policies, or always take the likeliest."""
+
+    def __init__(self, args: Args, agents: nn.Module, rng: torch.Generator, greedy: bool = False):
+        self.args, self.agents, self.rng, self.greedy = args, agents, rng, greedy
         self.reset()
 
     def reset(self) -> None:
-        """To be called before each episode: forgets the last one."""
+        """Forgets the last episode. To be called before each new one."""
         self.hidden: list | None = None
 
     @torch.inference_mode()
-    def act(self, observations: np.ndarray, info: dict) -> np.ndarray:
-        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action]. Returns actions, [env, agent]."""
-        inputs, masks = torch.from_numpy(observations)[None], torch.from_numpy(info["action_mask"])
-        logits, self.hidden = self.agents(inputs.to(self.args.device), self.hidden)
-        return sample_actions(logits[0], masks.to(self.args.device), self.rng).cpu().numpy()
+    def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action].
+
+        Returns the agents' actions, [env, agent].
+        """
+        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)  # one time step
+        masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
+        logits, self.hidden = self.agents(inputs, self.hidden)
+        if self.greedy:
+            return torch.where(masks, logits[0], -torch.inf).argmax(-1).cpu().numpy()
+        return sample_actions(logits[0], masks, self.rng).cpu().numpy()
 
 
-Team = SamplingTeam  # the name by which the code that is the same in all scripts knows it
+Team = SamplingTeam  # what the common code at the end of this file calls it
 
 
-def new_batch(args: Args, env: Any) -> SimpleNamespace:
-    """Arrays for one episode of each sub-environment. Three have a row more than steps, for what follows the last."""
+def new_batch(args: Args, env: VectorEnv) -> Batch:
+    """Room for one episode of each sub-environment."""
     steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
     observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
-    return SimpleNamespace(
-        observations=observations,  # [time + 1, env, agent, obs]
-        states=observations.flatten(2) if env.state_is_observations else torch.zeros(steps + 1, n_envs, env.state_size),
+    states = torch.zeros(steps + 1, n_envs, env.state_size)
+    if env.state_is_observations:
+        states = observations.flatten(2)  # a view: what is written into one stands in the other
+    return Batch(
+        observations=observations,
+        states=states,
         action_masks=torch.zeros(steps + 1, n_envs, n_agents, env.n_actions, dtype=torch.bool),
-        actions=torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),  # [time, env, agent]
-        rewards=torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),  # the team's, or each agent's
-        played=torch.zeros(steps, n_envs, dtype=torch.bool),  # False once the episode has ended
-        terminated=torch.zeros(steps, n_envs, dtype=torch.bool),  # True from an end on after which the value is zero
+        actions=torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),
+        rewards=torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),
+        played=torch.zeros(steps, n_envs, dtype=torch.bool),
+        no_bootstrap=torch.zeros(steps, n_envs, dtype=torch.bool),
     )
 
 
-def collect(args: Args, env: Any, team: Team, batch: SimpleNamespace) -> SimpleNamespace:
-    """Plays one whole episode in each sub-environment. Returns the batch, cut to the longest of them."""
-    arrays = SimpleNamespace(**{name: x.numpy() for name, x in vars(batch).items()})
-    arrays.observations[0], info = env.reset()
+def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch, np.ndarray]:
+    """Plays one whole episode in each sub-environment; those that end early wait for the others.
+
+    Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
+    batch is a view of `room`, so it is valid until the next one is collected.
+    """
+    rows = SimpleNamespace(**{name: x.numpy() for name, x in room._asdict().items()})  # views
+    rows.observations[0], info = env.reset()
     team.reset()
-    ended, t = np.zeros(env.num_envs, dtype=bool), 0
+    ended = np.zeros(env.num_envs, dtype=bool)
+    returns = np.zeros(env.num_envs)
+    t = 0
     while True:
-        arrays.states[t], arrays.action_masks[t] = info["state"], info["action_mask"]
+        rows.states[t] = info["state"]
+        rows.action_masks[t] = info["action_mask"]
         if ended.all():
-            cut = {name: x[: t + len(x) - env.episode_limit].to(args.device) for name, x in vars(batch).items()}
-            return SimpleNamespace(**cut)
-        arrays.actions[t] = team.act(arrays.observations[t], info)
-        arrays.played[t] = ~ended
-        arrays.observations[t + 1], rewards, real_end, time_out, info = env.step(arrays.actions[t])
-        arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
-        ended = real_end | time_out
-        arrays.terminated[t] = ended if args.time_limit == "terminal" else real_end
+            break
+        rows.actions[t] = team.act(rows.observations[t], info)
+        rows.played[t] = ~ended
+        rows.observations[t + 1], rewards, terminated, truncated, info = env.step(rows.actions[t])
+        rows.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
+        returns += rewards
+        ended = terminated | truncated
+        rows.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
         t += 1
+    unused = env.episode_limit - t
+    return Batch(*(x[: len(x) - unused].to(args.device) for x in room)), returns
 
 
 # --- update ---
-def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> None:
-    """One step of the optimiser down the loss, with the gradient of all its parameters together clipped in norm."""
+def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> Tensor:
+    """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
+    parameters = optimiser.param_groups[0]["params"]
     optimiser.zero_grad()
-    loss.backward(inputs=optimiser.param_groups[0]["params"])
-    nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], max_grad_norm)
+    loss.backward(inputs=parameters)
+    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
+    return norm
 
 
 @torch.no_grad()
 def update_target(target: nn.Module, online: nn.Module, method: str, updates: int) -> None:
-    """Hard: a copy at every 200th of the updates. Soft: each time 1 % of the way to the online network."""
-    if method == "soft" or updates % 200 == 0:
-        for old, new in zip(target.parameters(), online.parameters()):
-            old.lerp_(new, 0.01 if method == "soft" else 1.0)
+    """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
+    if method == "hard" and updates % 200 != 0:
+        return
+    share = 0.01 if method == "soft" else 1.0
+    for old, new in zip(target.parameters(), online.parameters()):
+        old.lerp_(new, share)
 
 
-def update(args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: int) -> dict[str, Tensor]:
-    """Learns from a batch, in update number `updates` (from 1). Returns its losses."""
+def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
+    """Learns from a batch; `updates` counts from 1. Returns figures for the log."""
     agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
-    critic_inputs = batch.states.unsqueeze(2)  # [time + 1, env, 1, state]: the same for all agents
+    critic_inputs = batch.states.unsqueeze(2)  # [time + 1, env, 1, state]: all agents see the same
     rewards = parts["standardiser"](batch.rewards, batch.played)
     with torch.no_grad():
         target_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time + 1, env, agent]
-    returns = n_step_returns(rewards, target_values, batch.played, batch.terminated, args.gamma, args.n_step)
+    ends = (batch.played, batch.no_bootstrap)
+    returns = n_step_returns(rewards, target_values, *ends, args.gamma, args.n_step)
 
     values = critic(critic_inputs[:-1])[0].squeeze(-1)  # [time, env, agent]
     advantages = returns - values.detach()
     critic_loss = played_mean((returns - values).square(), batch.played)
-    gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
+    critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
 
-    log_probs = log_probabilities(agents(batch.observations[:-1])[0], batch.action_masks[:-1])
+    logits = agents(batch.observations[:-1])[0]  # [time, env, agent, action]
+    log_probs = log_probabilities(logits, batch.action_masks[:-1])
     taken = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     entropy = -(log_probs.exp() * log_probs).sum(-1)
     actor_loss = -played_mean(advantages * taken + args.entropy_coef * entropy, batch.played)
-    gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
+    actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
 
     update_target(target_critic, critic, args.target_update, updates)
-    return {"critic": critic_loss, "actor": actor_loss, "entropy": played_mean(entropy, batch.played)}
+    with torch.no_grad():
+        return {
+            "loss/critic": critic_loss,
+            "loss/actor": actor_loss,
+            "policy/entropy": played_mean(entropy, batch.played),
+            "value/explained_variance": explained_variance(values, returns, batch.played),
+            "gradient/critic_norm": critic_norm,
+            "gradient/actor_norm": actor_norm,
+        }
 
 
-# --- evaluation ---
-def evaluate(env: Any, team: Team, seed: int) -> dict[str, float]:
-    """Plays one episode in each sub-environment, all of them drawn from the seed."""
-    observations, info = env.reset(seed=seed)
-    team.reset()
-    ended, returns, lengths = np.zeros(env.num_envs, bool), np.zeros(env.num_envs), np.zeros(env.num_envs)
-    while not ended.all():
-        observations, rewards, terminated, truncated, info = env.step(team.act(observations, info))
-        returns, lengths = returns + rewards, lengths + ~ended
-        ended = terminated | truncated
-    results = {"return_mean": returns.mean(), "return_std": returns.std(), "episode_length": lengths.mean()}
-    return {name: float(value) for name, value in results.items()}
-
-
-# --- the run: flags, directory, checkpoints, progress ---
-ALGORITHM = Path(__file__).stem
-NOT_IN_NAME = {"env", "seed", "parameter_sharing", "eval_points", "eval_episodes"}  # of the directory
-MAY_CHANGE = {"total_timesteps", "device", "threads", "run_dir", "resume", "watch", "track"}  # on --resume
-
-
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
-    """The paper's budget and hyperparameters for the task's family (Args' own values where it has none)."""
-    task = envs.task(env)
-    chosen: dict[str, Any] = dict(zip(PAPER_ARGS, PAPER.get(task.family, ((), ()))[not parameter_sharing]))
-    chosen |= {"total_timesteps": getattr(task, PAPER_BUDGET), "eval_points": task.eval_points}
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
-
-
-def parse(argv: list[str]) -> Args:
-    """Reads the flags twice: first those that decide on the defaults, then, with these, all of them."""
-    paper, _ = tyro.cli(paper_defaults, args=[x for x in argv if x not in ("-h", "--help")], return_unknown_args=True)
-    args = tyro.cli(Args, args=argv, default=paper, description=__doc__)
-    for name, value in vars(args).items():
-        if type(value) in (int, float) and not (type(value) is int and name != "seed") <= value < 2**63:  # counts: 1 on
-            raise envs.InputError(f"--{name.replace('_', '-')} cannot be {value}.")
-    if args.device == "cuda" and not torch.cuda.is_available():
-        raise envs.InputError("--device cuda: PyTorch finds no CUDA device here.")
-    return args
-
-
-def read_checkpoint(directory: Path) -> dict[str, Any] | None:
-    """The last checkpoint that is whole; None where there is none yet. InputError where all are damaged."""
-    for path in filter(Path.exists, (directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))):
-        try:  # what is not a checkpoint has no algorithm
-            return {"algorithm": None} | torch.load(path, map_location="cpu", weights_only=True)
-        except Exception:  # torch.load raises almost anything on a damaged file
-            print(f"{path} is damaged and cannot be used.", file=sys.stderr)
-    if (directory / "evaluations.csv").exists():  # it is written after a checkpoint
-        raise envs.InputError(f"{directory} holds a run, but no checkpoint of it that can be used.")
-    return None
-
-
-def load(run_dir: str | Path, seed: int = 0) -> Team:
-    """The trained team of a run, on the CPU. seed: of the actions that it draws."""
-    saved = read_checkpoint(Path(run_dir))
-    if saved is None or saved["algorithm"] != ALGORITHM:
-        raise envs.InputError(f"{run_dir} holds no checkpoint of {ALGORITHM}.")
-    args = Args(**saved["flags"] | {"device": "cpu"})
-    agents = AgentNetworks(args, *saved["sizes"])
-    agents.load_state_dict(saved["parts"]["agents"])
-    return Team(args, agents, torch.Generator().manual_seed(seed))
-
-
-class Run:
-    """What a run keeps and shows; parts: everything with a state_dict, by name ("agents": the networks that act)."""
-
-    def __init__(self, args: Args, env: Any, parts: dict[str, Any], rng: torch.Generator):
-        self.args, self.env, self.parts, self.rng, self.stop_signal = args, env, parts, rng, 0
-        self.timestep, self.updates, self.budget, self.rows = 0, 0, args.total_timesteps, list[dict[str, float]]()
-        self.wall_start, self.cpu_start, self.begun = time.time(), time.process_time(), 0
-        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
-        name = f"{ALGORITHM}-{'shared' if args.parameter_sharing else 'independent'}"
-        for flag, default in vars(paper_defaults(args.env, args.parameter_sharing)).items():
-            if flag not in NOT_IN_NAME | MAY_CHANGE and getattr(args, flag) != default:
-                name += f"-{flag.replace('_', '-')}={getattr(args, flag)}"
-        safe = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (args.env, name, f"seed{args.seed}"))
-        self.directory = Path(args.run_dir or Path("runs", *safe))
-        self.lock = filelock.FileLock(self.directory / "lock").acquire(timeout=0)
-        found = {path.name.split(".")[0] for path in self.directory.iterdir()} - {"lock"}
-        if found and not (args.resume and found & {"events", "checkpoint"}):
-            raise envs.InputError(f"{self.directory} is not empty: --resume goes on with a run; or choose a --run-dir.")
-        if saved := read_checkpoint(self.directory):  # go on where it was made, if that was with the same flags
-            then, now = saved["flags"] | {"algorithm": saved["algorithm"]}, vars(args) | {"algorithm": ALGORITHM}
-            changed = [x for x in then if x not in MAY_CHANGE and then[x] != now.get(x)]
-            if changed or args.total_timesteps < then["total_timesteps"]:
-                names = ", ".join(f"--{x.replace('_', '-')} {then[x]}" for x in [*changed, "total_timesteps"])
-                raise envs.InputError(f"{self.directory} was begun with {names}: only the timesteps may grow.")
-            for name, part in self.parts.items():
-                part.load_state_dict(saved["parts"][name])
-            self.env.episode, self.rows, self.timestep, self.updates, self.budget, wall, cpu = saved["progress"]
-            self.rng.set_state(saved["rng"])
-            self.wall_start, self.cpu_start, self.begun = self.wall_start - wall, self.cpu_start - cpu, self.timestep
-        if args.track:
-            name = re.sub(r"[^A-Za-z0-9_.-]", "-", str(self.directory))
-            envs.optional("wandb").init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
-        self.writer = SummaryWriter(str(self.directory), purge_step=self.timestep + 1 if saved else None)
-        self.bar = tqdm(total=args.total_timesteps, initial=self.timestep, unit=" steps", unit_scale=True, disable=None)
-        self.bar.write(f"This run is kept in {self.directory}", file=sys.stderr)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda number, _: setattr(self, "stop_signal", number))  # heeded after an update
-
-    def save(self) -> None:
-        """Writes the checkpoint, whole or not at all, keeps the one before, and writes config.json, evaluations.csv."""
-        saved: dict[str, Any] = {"algorithm": ALGORITHM, "flags": vars(self.args), "rng": self.rng.get_state()}
-        saved["sizes"] = (self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network)
-        saved["parts"] = {name: part.state_dict() for name, part in self.parts.items()}
-        saved["progress"] = (self.env.episode, self.rows, self.timestep, self.updates, self.budget, self.wall, self.cpu)
-        last, previous, new = (self.directory / f"checkpoint{which}.pt" for which in ("", ".previous", ".new"))
-        with open(new, "wb") as file:  # given a path, torch.save ends on a full disk with a RuntimeError
-            torch.save(saved, file)
-        if last.exists():
-            last.replace(previous)
-        new.replace(last)
-        (self.directory / "config.json").write_text(json.dumps({"flags": saved["flags"]} | envs.provenance(), indent=2))
-        table = [self.rows[0], *(row.values() for row in self.rows)]
-        (self.directory / "evaluations.csv").write_text("".join(",".join(map(str, line)) + "\n" for line in table))
-
-    def goes_on(self) -> bool:
-        """Evaluates and saves where that is due. False when the budget is spent; a stop asked for ends the process."""
-        self.wall, self.cpu = time.time() - self.wall_start, time.process_time() - self.cpu_start
-        reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
-        while (point := len(self.rows)) * self.budget <= reached:
-            seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
-            team = Team(self.args, self.parts["agents"], torch.Generator().manual_seed(seed))
-            results = evaluate(self.eval_env, team, seed)
-            row = {"point": point, "timestep": self.timestep, "wall_seconds": self.wall, "cpu_seconds": self.cpu}
-            self.rows.append(row | results)
-            self.writer.add_scalar("evaluation/return_mean", results["return_mean"], self.timestep)
-            shown = ", ".join(f"{name} {value:.3f}" for name, value in results.items())
-            self.bar.write(f"step {self.timestep:,} after {self.wall:,.0f} s: {shown}", file=sys.stderr)
-            self.bar.set_postfix_str(shown)
-            self.save()
-        if self.timestep < self.args.total_timesteps and not self.stop_signal:
-            return True
-        if self.timestep > self.begun:  # a complete run stays as it is
-            self.save()
-        self.bar.close()
-        self.writer.close()
-        if self.stop_signal:
-            sys.exit(f"Stopped at step {self.timestep:,}; the same command with --resume goes on.")
-        return False
-
-    def advance(self, steps: int, losses: dict[str, Tensor]) -> None:
-        """Counts steps, and an update if there was one; logs its losses a thousand times a run."""
-        before, self.timestep, self.updates = self.timestep, self.timestep + steps, self.updates + bool(losses)
-        for term, loss in losses.items():
-            if not torch.isfinite(loss):
-                sys.exit(f"The {term} loss is {loss.item()} at step {self.timestep:,}; the last checkpoint is kept.")
-            if self.timestep * 1000 // self.budget > before * 1000 // self.budget:
-                self.writer.add_scalar(f"loss/{term}", loss, self.timestep)
-        self.bar.update(steps)
-
-
+# --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)
     env = envs.make(args.env, args.num_envs, args.seed, copy=False)
-    agents = AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions, args.network).to(args.device)
-    critic = AgentNetworks(args, env.n_agents, env.state_size, 1).to(args.device)
-    parts = {
+    envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
+    agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
+    critic = MultiAgentNetwork(args, env.n_agents, env.state_size, 1)
+    parts = {  # what a checkpoint keeps
         "agents": agents,
         "critic": critic,
         "target_critic": deepcopy(critic),
@@ -443,27 +382,141 @@ def train(args: Args) -> None:
         "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
-    team, arrays = Team(args, agents, rng), new_batch(args, env)
+    team = Team(args, agents, rng)
+    room = new_batch(args, env)
     run = Run(args, env, parts, rng)
-    while run.goes_on():
-        batch = collect(args, env, team, arrays)
-        losses = update(args, parts, batch, run.updates + 1)
-        run.advance(int(batch.played.sum()), losses)
+
+    run.evaluate_if_due()
+    while run.timestep < args.total_timesteps:
+        batch, returns = collect(args, env, team, room)
+        run.updates += 1
+        metrics = update(args, parts, batch, run.updates)
+        run.advance(batch, returns, metrics)
+        run.evaluate_if_due()
+    run.complete()
+
+
+# --- from here on the text is the same in all nine scripts; files are made in envs/runs.py ---
+def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
+    """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
+    observations, info = env.reset(seed=seed)
+    team.reset()
+    totals = envs.EpisodeTotals(env)
+    while not totals.ended.all():
+        actions = team.act(observations, info)
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        totals.add(rewards, terminated, truncated, info)
+    return totals.means()
+
+
+class Run:
+    """One run: its evaluations, checkpoints and log. parts: all that has a state_dict, by name."""
+
+    def __init__(self, args: Args, env: VectorEnv, parts: dict[str, Any], rng: torch.Generator):
+        self.args, self.env, self.parts, self.rng = args, env, parts, rng
+        self.timestep = 0  # steps of all environments together
+        self.updates = 0
+        self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
+        self.rows: list[dict[str, float]] = []  # of evaluations.csv
+        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
+        paper = paper_defaults(args.env, args.parameter_sharing)
+        self.directory = runs.RunDirectory(__file__, args, paper)
+        saved = self.directory.checkpoint()
+        if saved is not None:
+            with runs.fitting_checkpoint(self.directory.path):
+                self.restore(saved)
+        self.saved_at = self.timestep if saved else -1
+        self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
+        self.signals = runs.StopSignals()
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Goes on where a checkpoint was made."""
+        for name, part in self.parts.items():
+            part.load_state_dict(saved["parts"][name])
+        self.rng.set_state(saved["rng"])
+        self.env.episode = saved["episode"]
+        self.timestep, self.updates = saved["timestep"], saved["updates"]
+        self.budget, self.rows = saved["budget"], saved["rows"]
+
+    def save(self) -> None:
+        """Writes a checkpoint, and with it config.json and evaluations.csv."""
+        self.directory.save(
+            rows=self.rows,
+            sizes=(self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network),
+            parts={name: part.state_dict() for name, part in self.parts.items()},
+            rng=self.rng.get_state(),
+            episode=self.env.episode,  # all that the environments' randomness depends on
+            timestep=self.timestep,
+            updates=self.updates,
+            budget=self.budget,
+        )
+        self.saved_at = self.timestep
+
+    def evaluate_if_due(self) -> None:
+        """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
+        reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
+        while len(self.rows) * self.budget <= reached:
+            point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training
+            seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
+            team = Team(self.args, self.parts["agents"], torch.Generator().manual_seed(seed))
+            results = evaluate(self.eval_env, team, seed)
+            seconds = self.directory.seconds()
+            self.rows.append({"point": point, "timestep": self.timestep, **seconds, **results})
+            self.log.evaluation(self.timestep, results)
+            self.save()
+
+    def advance(self, batch: Batch, returns: np.ndarray, metrics: dict[str, Tensor]) -> None:
+        """Counts and logs a batch. returns: of its episodes; metrics: what `update` returned."""
+        lengths = batch.played.sum(0).tolist()  # of each episode
+        self.timestep += sum(lengths)
+        self.log.batch(self.timestep, returns.tolist(), lengths, metrics)
+        if self.signals.received:  # Ctrl-C, for example
+            self.save()
+            self.log.close()
+            self.signals.exit(self.timestep)
+
+    def complete(self) -> None:
+        """Saves the end of the training, and deletes what only a running run needs."""
+        if self.saved_at < self.timestep:
+            self.save()
+        self.directory.complete()
+        self.log.close()
+
+
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
+    """The paper's budget and hyperparameters for a task; Args' own where its family has none."""
+    task = envs.task(env)
+    sharing = "shared" if parameter_sharing else "independent"
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get((task.family, sharing), ())))
+    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
+    chosen["eval_points"] = task.eval_points
+    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
+
+
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
+    """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
+    saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
+    with runs.fitting_checkpoint(run_dir):
+        args = Args(**saved["config"]["flags"] | {"device": "cpu"})
+        agents = MultiAgentNetwork(args, *saved["sizes"])
+        agents.load_state_dict(saved["parts"]["agents"])
+    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
+
+
+def watch(args: Args) -> None:
+    """Plays what was trained, prints the results and films the first episodes."""
+    team = load(args.watch, args.seed)
+    env = envs.make(team.args.env, args.eval_episodes)
+    print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
+    print(envs.film(env, team, Path(args.watch, "film.gif")))
 
 
 def main() -> None:
-    """Trains, or plays what was trained. Wrong input ends with one sentence and exit code 2."""
-    try:
-        args = parse(sys.argv[1:])
+    """Trains or plays. Wrong input ends with one sentence and exit code 2."""
+    with runs.one_sentence(__file__):
+        args = runs.parse_flags(Args, paper_defaults, sys.argv[1:], __doc__)
         torch.set_num_threads(args.threads)
-        if not args.watch:
-            return train(args)
-        team = load(args.watch, args.seed)
-        env = envs.make(team.args.env, args.eval_episodes)
-        print(evaluate(env, team, args.seed), envs.film(env, team, Path(args.watch, "film.gif")), sep="\n")
-    except (envs.InputError, OSError) as error:  # OSError: a directory in use or not to be written, a full disk
-        print(f"{ALGORITHM}: {error}", file=sys.stderr)
-        sys.exit(2)
+        watch(args) if args.watch else train(args)
 
 
 if __name__ == "__main__":

@@ -11,23 +11,22 @@ from __future__ import annotations
 
 import importlib
 import os
-from types import ModuleType
 from typing import Any
 
-from envs.provenance import provenance
-from envs.storage import reserve
+from envs.runs import optional
 from envs.tasks import InputError, Task, task, task_names
-from envs.vector import VectorEnv
+from envs.vector import EpisodeTotals, VectorEnv, check_one_team, check_teams
 
 __all__ = [
+    "EpisodeTotals",
     "InputError",
     "Task",
     "VectorEnv",
+    "check_one_team",
+    "check_teams",
     "film",
     "make",
     "optional",
-    "provenance",
-    "reserve",
     "task",
     "task_names",
 ]
@@ -44,17 +43,6 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
     module = importlib.import_module(f"envs.{described.module}")
     env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
     return env
-
-
-def optional(package: str, extra: str | None = None) -> ModuleType:
-    """Import a package that only an extra of ours brings along (by default one of the package's own name).
-
-    Raises InputError, naming the extra, where it is not installed.
-    """
-    try:
-        return importlib.import_module(package)
-    except ModuleNotFoundError:
-        raise InputError(f"{package} is not installed; pip install -e '.[{extra or package}]' does it.") from None
 
 
 def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:

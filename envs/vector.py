@@ -33,6 +33,8 @@ from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from envs.tasks import InputError
+
 Info = dict[str, Any]
 
 
@@ -240,3 +242,60 @@ class VectorEnv(GymnasiumVectorEnv):
             raise ValueError(f'options["reset_mask"] has the shape {mask.shape}, not ({self.num_envs},).')
         if not mask.any():
             raise ValueError('options["reset_mask"] names no sub-environment.')
+
+
+class EpisodeTotals:
+    """Adds up one episode of each sub-environment while those that have ended wait for the others."""
+
+    def __init__(self, env: VectorEnv) -> None:
+        """To be made at a reset of all sub-environments."""
+        self.teams = np.array(env.teams)
+        self.ended = np.zeros(env.num_envs, np.bool_)
+        self.lengths = np.zeros(env.num_envs)
+        self.returns = np.zeros(env.num_envs)
+        self.agent_returns = np.zeros((env.num_envs, env.n_agents))
+        self.statistics = {name: np.zeros(env.num_envs) for name in env.statistics}
+
+    def add(
+        self,
+        rewards: NDArray[np.float32],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        info: Info,
+    ) -> None:
+        """Adds a step."""
+        self.lengths += ~self.ended
+        self.returns += rewards
+        self.agent_returns += info["agent_rewards"]
+        ends_now = (terminated | truncated) & ~self.ended
+        for name, values in info["statistics"].items():
+            self.statistics[name][ends_now] = values[ends_now]
+        self.ended |= ends_now
+
+    def means(self) -> dict[str, float]:
+        """Means over the episodes: return_mean, return_std and episode_length, what the family reports, and the mean
+        returns of the members of other teams than team 0, whose return is the first."""
+        means = {
+            "return_mean": self.returns.mean(),
+            "return_std": self.returns.std(),
+            "episode_length": self.lengths.mean(),
+        }
+        for team in sorted(set(self.teams.tolist()) - {0}):
+            means[f"team_{team}_return_mean"] = self.agent_returns[:, self.teams == team].mean()
+        for name, values in self.statistics.items():
+            means[name] = values.mean()
+        return {name: float(value) for name, value in means.items()}
+
+
+def check_teams(env: VectorEnv, individual_rewards: bool, parameter_sharing: bool) -> None:
+    """Raises InputError where opposing teams would learn from one reward, or with one network."""
+    if len(set(env.teams)) > 1 and not (individual_rewards and not parameter_sharing):
+        raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
+
+
+def check_one_team(env: VectorEnv, individual_rewards: bool, reason: str) -> None:
+    """Raises InputError where an algorithm that learns from the team's reward is asked for anything else."""
+    if len(set(env.teams)) > 1:
+        raise InputError(f"{env.name} has opposing teams: {reason}.")
+    if individual_rewards:
+        raise InputError(f"--individual-rewards: {reason}.")
