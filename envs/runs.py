@@ -148,14 +148,17 @@ def show_help(args_class: type, default: Any, description: str) -> None:
     Each line `# title` in the class begins a group, and the comment behind a field is its help.
     """
     width = min(shutil.get_terminal_size().columns, 120) - 1
+    column = 30  # where the explanations begin
     for paragraph in description.strip().split("\n\n"):
-        plain = not paragraph.startswith("    ")  # formulas and commands keep their lines
-        print(textwrap.fill(" ".join(paragraph.split()), width) if plain else paragraph, end="\n\n")
+        if paragraph.startswith("    "):  # formulas and commands keep their lines
+            print(paragraph, end="\n\n")
+        else:
+            print(textwrap.fill(" ".join(paragraph.split()), width), end="\n\n")
     for line in inspect.getsource(args_class).splitlines():
         title = re.fullmatch(r" {4}# (.+)", line)
         field = re.fullmatch(r" {4}(\w+): (.+?) = .+?  # (.+)", line)
         if title:
-            print(f"{title[1]}:")
+            print(f"\n{title[1]}:")
         if field:
             name, kind, text = field.groups()
             flag = f"--{name.replace('_', '-')}"
@@ -166,8 +169,13 @@ def show_help(args_class: type, default: Any, description: str) -> None:
             else:
                 flag += {"int": " INTEGER", "float": " NUMBER", "str": " TEXT"}[kind]
             value = getattr(default, name)
-            text += "" if value == "" else f" (default: {value})"
-            print(textwrap.fill(text, width, initial_indent=f"  {flag}  ", subsequent_indent=" " * 8))
+            if value != "":
+                text += f" (default: {value})"
+            head = f"  {flag}".ljust(column)
+            if len(head) > column:  # the flag takes a line of its own
+                print(head)
+                head = " " * column
+            print(textwrap.fill(text, max(width, column + 30), initial_indent=head, subsequent_indent=" " * column))
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -251,7 +259,7 @@ class RunDirectory:
         try:
             found = sorted(os.listdir(path)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
-            begun = any(name in CHECKPOINTS or name.startswith("events.") for name in found)
+            begun = any(name in (*CHECKPOINTS, "progress.json") for name in found)
             if foreign or (set(found) - {"lock"} and not begun):
                 raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
             if begun and not args.resume:
@@ -431,6 +439,7 @@ class Log:
         """path: of the run's directory. What TensorBoard's file says of steps after `timestep` is taken back."""
         from torch.utils.tensorboard import SummaryWriter
 
+        write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         if args.track:
             wandb = optional("wandb")
             name = safe_name(str(path))
