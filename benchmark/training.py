@@ -16,13 +16,14 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import torch
 from torch import nn
 
 import envs
+from envs import runs
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
 
@@ -53,7 +54,7 @@ def load_script(name: str) -> ModuleType:
 
 def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
     """One batch of whole episodes, all as long as the time limit: ten on-policy, 32 of a replay off-policy."""
-    name, copies = module.ALGORITHM, 1 if args.parameter_sharing else env.n_agents
+    name, copies = module.__name__, 1 if args.parameter_sharing else env.n_agents
     ids = env.n_agents if args.parameter_sharing else 0
     replays = hasattr(args, "batch_size")
     steps = env.episode_limit + replays  # a replayed episode is valued in its last state too
@@ -93,24 +94,29 @@ def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
 class Clock:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
-    def __init__(self, module: Any, seconds: float, directory: Path):
-        self.module, self.seconds, self.directory = module, seconds, directory
+    def __init__(self, module: Any, seconds: float, path: Path):
+        self.module, self.seconds = module, seconds
+        self.directory = SimpleNamespace(path=path)
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
-        self.timestep, self.updates, self.started = 0, 0, 0.0
+        self.updates = 0
 
     def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
         self.env, self.passes = env, reference_passes(self.module, args, env)
         self.end = time.perf_counter() + self.seconds
         return self
 
-    def goes_on(self) -> bool:
-        self.started = time.perf_counter()
-        return self.started < self.end or not self.rates
+    @property
+    def timestep(self) -> float:
+        """Beyond every budget when the time is up."""
+        return float("inf") if time.perf_counter() > self.end and self.rates else 0
 
-    def advance(self, steps: int, losses: Any) -> None:
-        self.timestep += steps
-        self.updates += bool(losses)  # none while a replay fills
+    def evaluate_if_due(self) -> None:
+        """Nothing is evaluated; the next batch begins here."""
+        self.started = time.perf_counter()
+
+    def advance(self, batch: Any, returns: Any, metrics: Any) -> None:
+        steps = int(batch.played.sum())
         between = time.perf_counter()
         self.passes()
         passed = time.perf_counter()
@@ -120,6 +126,8 @@ class Clock:
 
     def save(self) -> None:
         """A benchmark keeps nothing."""
+
+    complete = save
 
 
 def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Callable:
@@ -137,7 +145,7 @@ def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Cal
 def measure(name: str, flags: list[str], seconds: float) -> None:
     """Prints one line: medians over batches."""
     module: Any = load_script(name)
-    args = module.parse(flags)
+    args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     torch.set_num_threads(1)
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect, module.update = timed(module.collect, parts, "acting"), timed(module.update, parts, "update")

@@ -467,12 +467,13 @@ class Log:
         """Shows a batch of training episodes that ends at this timestep.
 
         returns, lengths: of its episodes.
-        metrics: figures by group and name. TensorBoard gets a thousand points a run. A loss that is not finite ends the
+        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. A loss that is not finite ends the
         process.
         """
-        for name, value in metrics.items():
+        figures = {name: value.item() for name, value in metrics.items()}
+        for name, value in figures.items():
             if name.startswith("loss/") and not math.isfinite(value):
-                sys.exit(f"{name} is {float(value)} at step {timestep:,}; the last checkpoint is kept.")
+                sys.exit(f"{name} is {value} at step {timestep:,}; the last checkpoint is kept.")
         self.returns.extend(returns)
         self.lengths.extend(lengths)
         now = time.monotonic()
@@ -497,7 +498,7 @@ class Log:
             self.writer.add_scalar("training/return_mean", recent, timestep)
             self.writer.add_scalar("training/episode_length", fmean(self.lengths), timestep)
             self.writer.add_scalar("training/steps_per_second", speed, timestep)
-            for name, value in metrics.items():
+            for name, value in figures.items():
                 self.writer.add_scalar(name, value, timestep)
 
     def close(self) -> None:

@@ -4,11 +4,12 @@ import importlib.util
 import sys
 import tempfile
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import torch
 
 import envs
+from envs import runs
 
 torch.set_num_threads(1)  # as the scripts do: tiny networks, and tests run side by side
 
@@ -17,6 +18,7 @@ NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
 VALUE_BASED = [name for name in NAMES if name in ("iql", "vdn", "qmix")]
 OFF_POLICY = [name for name in NAMES if name in ("maddpg", *VALUE_BASED)]
 ON_POLICY = [name for name in NAMES if name not in OFF_POLICY]
+INDIVIDUAL = [name for name in NAMES if name not in ("coma", "vdn", "qmix")]  # learn from agents' own rewards
 
 
 def load_module(path: Path) -> ModuleType:
@@ -38,25 +40,32 @@ class FakeRun:
     """Stands for a script's Run: notes the parts that `train` builds, and lets it collect some batches."""
 
     def __init__(self, batches: int):
-        self.left, self.timestep, self.updates = batches, 0, 0
+        self.left, self.steps, self.updates = batches, 0, 0
         self.folder = tempfile.TemporaryDirectory()  # gone with this object
-        self.directory = Path(self.folder.name)
+        self.directory = SimpleNamespace(path=Path(self.folder.name))
 
     def __call__(self, args, env, parts, rng):
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         return self
 
-    def goes_on(self) -> bool:
-        self.left -= 1
-        return self.left >= 0
+    @property
+    def timestep(self) -> float:
+        """Beyond every budget when enough batches have been collected."""
+        return self.steps if self.left > 0 else float("inf")
 
-    def advance(self, steps, losses) -> None:
-        assert steps > 0
-        self.timestep += steps
-        self.updates += bool(losses)
+    def evaluate_if_due(self) -> None:
+        """Nothing is evaluated."""
+
+    def advance(self, batch, returns, metrics) -> None:
+        assert batch.played.any() and len(returns) == self.env.num_envs
+        self.steps += int(batch.played.sum())
+        self.left -= 1
+        self.metrics = metrics
 
     def save(self) -> None:
         """Nothing is kept."""
+
+    complete = save
 
 
 def trained(monkeypatch, name: str, batches: int, env: str = "lbf-5x5-2p-1f", **flags) -> FakeRun:
@@ -71,7 +80,14 @@ def trained(monkeypatch, name: str, batches: int, env: str = "lbf-5x5-2p-1f", **
     return run
 
 
+def parse(name: str, flags: list[str]):
+    """The Args of a script for a command line."""
+    module = script(name)
+    return runs.parse_flags(module.Args, module.paper_defaults, [str(flag) for flag in flags], module.__doc__)
+
+
 __all__ = [
+    "INDIVIDUAL",
     "NAMES",
     "OFF_POLICY",
     "ON_POLICY",
@@ -80,6 +96,7 @@ __all__ = [
     "FakeRun",
     "envs",
     "load_module",
+    "parse",
     "script",
     "trained",
 ]
