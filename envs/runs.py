@@ -467,8 +467,8 @@ class Log:
         """Shows a batch of training episodes that ends at this timestep.
 
         returns, lengths: of its episodes.
-        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. A loss that is not finite ends the
-        process.
+        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. A loss that is not
+        finite ends the process.
         """
         figures = {name: value.item() for name, value in metrics.items()}
         for name, value in figures.items():
