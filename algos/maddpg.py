@@ -291,7 +291,7 @@ def update(args: Args, parts: dict[str, Any], batch: SimpleNamespace, updates: i
     own = torch.eye(logits.shape[2], dtype=torch.bool, device=logits.device).unsqueeze(-1)  # [agent, other, 1]
     joint = torch.where(own, drawn.unsqueeze(2), drawn.detach().unsqueeze(2))  # [time, env, agent, other, action]
     values = critic(critic_inputs(batch.states[:-1], joint))[0].squeeze(-1)
-    squares = (logits.square() * masks).sum(-1) / masks.sum(-1).clamp(min=1)  # [time, env, agent]
+    squares = (logits.square() * masks).mean(-1)  # [time, env, agent]; masked logits count as zero
     actor_loss = played_mean(args.actor_regularisation * squares - values, batch.played)
     gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
     update_target(parts["target_agents"], agents, args.target_update, updates)

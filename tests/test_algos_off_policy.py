@@ -130,7 +130,8 @@ def slow_maddpg_losses(args, parts, batch, noise):
                 critic_errors.append((goal - judged(parts["critic"], i, batch.states[t, e], taken)) ** 2)
                 actions = [drawn[j] if j == i else drawn[j].detach() for j in range(N_AGENTS)]
                 gain = judged(parts["critic"], i, batch.states[t, e], actions)
-                actor_terms.append(args.actor_regularisation * logits[t][i][masks[i]].square().mean() - gain)
+                squares = sum(logits[t][i][a] ** 2 for a in range(N_ACTIONS) if masks[i][a])  # 0 where masked
+                actor_terms.append(args.actor_regularisation * squares / N_ACTIONS - gain)
     return {"critic": torch.stack(critic_errors).mean(), "actor": torch.stack(actor_terms).mean()}
 
 
@@ -670,8 +671,8 @@ class TestMaddpg:
             p = 1 / (1 + np.exp(second - first))  # of the first of two actions
             expected_loss -= 1.0 if first > second else -2.0
             expected[0] -= torch.tensor([p * (1 - p) * 3, -p * (1 - p) * 3, 0.0])  # 3: what the first pays more
-            expected_loss += 0.1 * (0.25 + 1.0) / 2
-            expected[0] += 0.1 * torch.tensor([2 * 0.5, 2 * -1.0, 0.0]) / 2
+            expected_loss += 0.1 * (0.25 + 1.0 + 0.0) / 3  # of all three actions; the masked logit counts as zero
+            expected[0] += 0.1 * torch.tensor([2 * 0.5, 2 * -1.0, 0.0]) / 3
         assert loss == pytest.approx(expected_loss / (4 * 2), rel=1e-5)  # the mean over steps and agents
         torch.testing.assert_close(gradient, expected / (4 * 2))
 
