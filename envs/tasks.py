@@ -62,13 +62,93 @@ def task_names() -> list[str]:
 
 
 def task(name: str) -> Task:
-    """The task of that name. InputError: the name is unknown (the message has the nearest ones) or impossible."""
+    """The task of that name.
+
+    Raises InputError for a name that is impossible or unknown; the message says how such a task is called here.
+    """
+    found = parsed(name) if len(name) <= LONGEST_NAME else None
+    if found is None:
+        raise InputError(unknown(name))
+    return found
+
+
+LONGEST_NAME = 200  # characters
+
+
+def parsed(name: str) -> Task | None:
+    """The task, None where no family has names of this form. InputError: there is no such game."""
     for parse in PARSERS:
         found = parse(name)
         if found is not None:
             return found
-    nearest = difflib.get_close_matches(name, PAPER_TASKS, n=3, cutoff=0.0)
-    raise InputError(f"unknown task {name!r}; the nearest are {', '.join(nearest)}.")
+    return None
+
+
+def unknown(name: str) -> str:
+    """What to tell a user who asked for a task that does not exist."""
+    table = "`python -m envs` lists the tasks"
+    if len(name) > LONGEST_NAME:
+        return f"unknown task {name[:40] + '...'!r} (a name of {len(name):,} characters); {table}."
+    translations = names_here(name)
+    here = [ours for ours in translations if is_task(ours)]
+    if here:
+        return f"unknown task {name!r}; here it is called {' or '.join(here)}, and {table}."
+    if translations:
+        return f"unknown task {name!r}; this project does not have that game, and {table}."
+    spelled = {ours.lower(): ours for ours in PAPER_TASKS}
+    near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled, n=3, cutoff=0.8)]
+    if near:
+        return f"unknown task {name!r}; similar names are {', '.join(near)}, and {table}."
+    return f"unknown task {name!r}; {table}."
+
+
+def is_task(name: str) -> bool:
+    """Whether `task` would find the name."""
+    try:
+        return parsed(name) is not None
+    except InputError:
+        return False
+
+
+def names_here(name: str) -> list[str]:
+    """Our names for what the original packages and the paper's code call `name`, the best one first.
+
+    Empty where `name` is of none of their forms. The result may have names of tasks that do not exist.
+    """
+    lbf = re.fullmatch(
+        r"(?:lbforaging:)?Foraging(?:-(\d+)s)?-(\d+)x(\d+)-(\d+)p-(\d+)f(-coop)?(?:-v(\d+))?", name, re.ASCII
+    )
+    if lbf:
+        sight, rows, columns, agents, foods, cooperative, version = lbf.groups()
+        sees_all = sight is None or int(sight) >= max(int(rows), int(columns))
+        sight_part = "" if sees_all else f"-{sight}s"
+        ours = f"lbf-{rows}x{columns}-{agents}p-{foods}f{sight_part}{'-c' if cooperative else ''}"
+        return [f"{ours}-v3", ours] if version == "3" else [ours]
+
+    rware = re.fullmatch(r"(?:rware:)?rware-([a-z]+)-(\d+)ag(-easy|-hard)?(?:-v\d+)?", name, re.ASCII)
+    if rware:
+        size, agents, difficulty = rware.groups()
+        return [f"rware-{size}-{agents}p{difficulty or ''}"]
+
+    mpe = re.fullmatch(r"(?:pz-mpe-|mpe:|mpe2\.)?simple[-_]?([a-z_-]+?)(?:[-_]v(\d+))?", name, re.ASCII | re.IGNORECASE)
+    scenarios = {"speakerlistener": "speaker-listener", "spread": "spread", "adversary": "adversary", "tag": "tag"}
+    scenario = scenarios.get(re.sub("[-_]", "", mpe[1].lower())) if mpe else None
+    if mpe and scenario:
+        of_the_package = mpe[2] is not None and int(mpe[2]) >= 2  # PettingZoo's and mpe2's physics; Gym's had v0
+        return [f"mpe2-{scenario}", f"mpe-{scenario}"] if of_the_package else [f"mpe-{scenario}"]
+
+    matrix = re.fullmatch(r"(?:matrixgames:)?(climbing|penalty-\d+)(?:-nostate)?(?:-v\d+)?", name, re.ASCII)
+    if matrix:
+        return [f"matrix-{matrix[1]}"]
+
+    units = r"(?:\d+[a-z]+)+"
+    named_maps = "MMM2?|corridor|bane_vs_bane|so_many_baneling"
+    smac = re.fullmatch(rf"(smaclite/|smac[:/-])?({units}(?:_vs_{units})?|{named_maps})(?:-v0)?", name, re.ASCII)
+    if smac:
+        package, battle = smac.groups()
+        lite = [f"smaclite-{battle}"]
+        return lite if package == "smaclite/" else [f"smac-{battle}", f"smaclite-{battle}-sc2"]
+    return []
 
 
 NUMBER = "(0|[1-9][0-9]*)"

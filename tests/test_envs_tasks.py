@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import envs
-from envs.tasks import room_for_foods
+from envs import tasks
+from envs.tasks import names_here, room_for_foods
 
 PAPER = {"matrix": ("matrix", 2_500_000, 250_000, 101), "lbf": ("lbf", 20_000_000, 2_000_000, 41)}
 
@@ -104,7 +105,6 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("matrix-penalty--25", "matrix-penalty-25"),
         ("matrix-penalty-025", "matrix-penalty-25"),
         ("LBF-15X15-3P-5F", "lbf-15x15-3p-5f"),
-        ("", "matrix-"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
@@ -112,7 +112,81 @@ def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
     with pytest.raises(envs.InputError, match="unknown task") as error:
         envs.make(name)
     assert nearest in str(error.value) and "\n" not in str(error.value)
+    assert "`python -m envs` lists the tasks" in str(error.value)
     assert isinstance(error.value, ValueError)
+
+
+@pytest.mark.parametrize("name", ["", "hello", "lbf", "rware", "matrix", "8x8", "\ud800"])
+def test_unknown_names_far_from_all_offer_none(name: str) -> None:
+    with pytest.raises(envs.InputError) as error:
+        envs.task(name)
+    assert str(error.value) == f"unknown task {name!r}; `python -m envs` lists the tasks."
+
+
+@pytest.mark.parametrize("name", ["a" * 100_000, "matrix-penalty-" + "9" * 100_000, "rware-tiny-" + "1" * 300 + "ag"])
+def test_long_names_are_cut(name: str) -> None:
+    with pytest.raises(envs.InputError, match=f"{len(name):,} characters") as error:
+        envs.task(name)
+    assert len(str(error.value)) < 150 and repr(name[:40] + "...") in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("Foraging-8x8-2p-2f-coop-v3", "lbf-8x8-2p-2f-c-v3 or lbf-8x8-2p-2f-c"),
+        ("lbforaging:Foraging-15x15-3p-5f-v3", "lbf-15x15-3p-5f-v3 or lbf-15x15-3p-5f"),
+        ("Foraging-2s-8x8-2p-2f-coop-v2", "lbf-8x8-2p-2f-2s-c"),
+        ("Foraging-10x10-3p-3f-v1", "lbf-10x10-3p-3f"),
+        ("Foraging-8s-8x7-2p-2f", "lbf-8x7-2p-2f"),  # sees the whole board
+        ("climbing", "matrix-climbing"),
+        ("penalty-100-nostate", "matrix-penalty-100"),
+        ("matrixgames:penalty-25-nostate-v0", "matrix-penalty-25"),
+    ],
+)
+def test_names_of_the_reference_are_translated(name: str, ours: str) -> None:
+    with pytest.raises(envs.InputError) as error:
+        envs.task(name)
+    assert f"unknown task {name!r}; here it is called {ours}, and" in str(error.value)
+    for task in ours.split(" or "):
+        assert envs.task(task).name == task
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("rware-tiny-4ag", ["rware-tiny-4p"]),
+        ("rware:rware-tiny-4ag-v1", ["rware-tiny-4p"]),
+        ("rware-small-2ag-easy-v2", ["rware-small-2p-easy"]),
+        ("simple_spread", ["mpe-spread"]),
+        ("SimpleSpread-v0", ["mpe-spread"]),
+        ("mpe:SimpleSpeakerListener-v0", ["mpe-speaker-listener"]),
+        ("simple_speaker_listener_v4", ["mpe2-speaker-listener", "mpe-speaker-listener"]),
+        ("mpe2.simple_tag_v3", ["mpe2-tag", "mpe-tag"]),
+        ("pz-mpe-simple-adversary-v3", ["mpe2-adversary", "mpe-adversary"]),
+        ("simple_crypto", []),
+        ("3s5z", ["smac-3s5z", "smaclite-3s5z-sc2"]),
+        ("2s_vs_1sc", ["smac-2s_vs_1sc", "smaclite-2s_vs_1sc-sc2"]),
+        ("MMM2", ["smac-MMM2", "smaclite-MMM2-sc2"]),
+        ("smaclite/corridor-v0", ["smaclite-corridor"]),
+        ("Foraging-3s-8x8-2p-2f-v3", ["lbf-8x8-2p-2f-3s-v3", "lbf-8x8-2p-2f-3s"]),
+        ("spread", []),
+        ("lbf-8x8-2p-2f-c", []),
+    ],
+)
+def test_names_here(name: str, ours: list[str]) -> None:
+    assert names_here(name) == ours
+
+
+def test_a_translation_that_is_no_task_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tasks, "PARSERS", ())
+    for name in ("climbing", "Foraging-8x8-2p-2f-coop-v3", "rware-tiny-4ag", "3s5z", "simple_spread"):
+        with pytest.raises(envs.InputError) as error:
+            envs.task(name)
+        assert str(error.value).startswith(f"unknown task {name!r}; this project does not have that game, and")
+    described = tasks.Task("mpe-spread", "mpe", 1, 1, 2, "mpe", {})
+    monkeypatch.setattr(tasks, "PARSERS", (lambda name: described if name == "mpe-spread" else None,))
+    with pytest.raises(envs.InputError, match="'simple_spread_v3'; here it is called mpe-spread, and"):
+        envs.task("simple_spread_v3")
 
 
 @given(st.text())
