@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -207,9 +208,28 @@ def test_the_command_line() -> None:
     lines = table.stdout.splitlines()
     assert [line.split()[0] for line in lines[1:]] == envs.task_names()
     assert len({len(line) for line in lines}) == 1
-    one = run("lbf-15x15-3p-5f")
-    cells = one.stdout.splitlines()[1].split()
+    cells = next(line for line in lines if line.startswith("lbf-15x15-3p-5f ")).split()
     assert " ".join(cells) == "lbf-15x15-3p-5f 3 24 72 6 50 20,000,000 2,000,000"
-    unknown = run("lbf-15x15-3p-5")
+    unknown = run("lbf-15x15-3p-5f", "lbf-15x15-3p-5")
     assert unknown.returncode == 2 and unknown.stdout == ""
-    assert unknown.stderr.count("\n") == 1 and "lbf-15x15-3p-5f" in unknown.stderr
+    assert unknown.stderr.count("\n") == 1 and "similar names are lbf-15x15-3p-5f" in unknown.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closes file descriptors as a shell of Unix does")
+@pytest.mark.parametrize(
+    ("shell", "code", "said"),
+    [
+        ("{} matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
+        ("{} nothing 2>&-", 2, ""),
+        pytest.param(
+            "{} matrix-climbing > /dev/full",
+            2,
+            "The table cannot be written: [Errno 28] No space left on device.\n",
+            marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux"),
+        ),
+    ],
+)
+def test_the_command_line_without_a_reader(shell: str, code: int, said: str) -> None:
+    command = shell.format(f"PYTHONUNBUFFERED= '{sys.executable}' -m envs")
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)
