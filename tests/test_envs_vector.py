@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import textwrap
 from collections.abc import Callable
 from typing import Any
 
@@ -290,6 +291,30 @@ def test_gymnasium_counts_episodes_right(name: str, copy: bool) -> None:
     assert recording.episode_count == len(expected) >= 40
     np.testing.assert_allclose(recording.return_queue, [r for r, _ in expected])
     assert list(recording.length_queue) == [length for _, length in expected]
+
+
+def test_the_loop_of_the_contract_counts_each_episode_once() -> None:
+    """The loop as it stands in the docstring; sub-environment i takes i + 2 steps an episode."""
+    assert envs.vector.__doc__ is not None
+    loop = textwrap.dedent(envs.vector.__doc__[envs.vector.__doc__.index("    recording = ") :])
+    names = {"RecordEpisodeStatistics": RecordEpisodeStatistics, "env": Counting(), "steps": 12}
+    names["act"] = lambda observations, info: np.zeros((3, 2), int)
+    exec(loop, names)
+    recording = names["recording"]
+    assert isinstance(recording, RecordEpisodeStatistics)
+    assert sorted(recording.length_queue) == 6 * [2] + 4 * [3] + 3 * [4]
+    assert recording.episode_count == 13
+
+
+def test_a_loop_that_waits_makes_gymnasium_count_again() -> None:
+    """What the contract warns of; it may say less once this test fails."""
+    recording = RecordEpisodeStatistics(Counting())
+    recording.reset()
+    flags = np.zeros(3, bool)
+    while not flags.all():
+        _, _, terminated, truncated, _ = recording.step(np.zeros((3, 2), int))
+        flags = terminated | truncated
+    assert recording.episode_count == 3 + 2 + 1
 
 
 # --- Copies ------------------------------------------------------------------------------------------------------
