@@ -4,7 +4,7 @@
     observations, info = env.reset()
     observations, rewards, terminated, truncated, info = env.step(actions)
 
-`envs.vector` states the contract of an environment, `envs.tasks` the grammar of the names.
+`envs.vector` states the contract of an environment, and `envs.tasks` the grammar of the names.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
     """Build num_envs sub-environments of a task.
 
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
-    copy: False lets `reset` and `step` return the same arrays each time and allocate nothing.
+    copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
     Raises InputError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
     """
     described = task(name)
@@ -58,7 +58,10 @@ def optional(package: str, extra: str | None = None) -> ModuleType:
 
 
 def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:
-    """Play with a team that a script's `load` returned, and save the first episodes as a GIF. Returns where it is."""
+    """Play with a team that a script's `load` returned, and save the first episodes as a GIF.
+
+    Returns a line that says where the film is, or that there is none.
+    """
     if not env.can_draw:
         return f"{env.name} has no pictures, so there is no film."
     from envs import render  # imports Pillow

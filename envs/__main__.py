@@ -1,4 +1,4 @@
-"""`python -m envs`: the paper's tasks that are here, in a table. `python -m envs <name> ...`: those tasks."""
+"""`python -m envs` prints a table of the paper's tasks, `python -m envs <name> ...` one of the named tasks."""
 
 from __future__ import annotations
 

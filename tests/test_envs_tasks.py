@@ -71,10 +71,10 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
         ("lbf-8x8-2p-0f", "at least one agent and one food"),
         ("lbf-2x8-1p-1f", "at least 3 rows and 3 columns"),
         ("lbf-8x2-1p-1f-v3", "at least 3 rows and 3 columns"),
-        ("lbf-3x3-1p-1f", "may leave no cell off the border free"),
-        ("lbf-4x4-4p-1f", "may leave no cell off the border free"),
-        ("lbf-5x5-2p-3f", "a 5x5 board is played with up to 2, not 3"),
-        ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with up to 2, not 4"),
+        ("lbf-3x3-1p-1f", "may leave no cell inside the border free"),
+        ("lbf-4x4-4p-1f", "may leave no cell inside the border free"),
+        ("lbf-5x5-2p-3f", "a 5x5 board is played with at most 2 of them, not 3"),
+        ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with at most 2 of them, not 4"),
         ("lbf-99999999x8-2p-2f", r"longer than 2\^24"),
         ("matrix-penalty-99999999", r"larger than 2\^24"),
     ],
@@ -90,7 +90,7 @@ def test_impossible_sizes(name: str, why: str) -> None:
     ("rows", "columns", "room"), [(3, 3, 1), (3, 9, 3), (4, 4, 1), (5, 5, 2), (6, 6, 4), (8, 8, 8)]
 )
 def test_room_for_foods(rows: int, columns: int, room: int) -> None:
-    """Most that fit, found by trying all arrangements row by row (by hand for the smallest)."""
+    """The most that fit, found by trying all arrangements row by row (by hand for the smallest boards)."""
     assert room_for_foods(rows, columns, 99) == room_for_foods(columns, rows, 99) == room
     assert room_for_foods(rows, columns, 1) == 1
 
