@@ -141,6 +141,7 @@ def lively_actions(env: lbf.Env, e: int, rng: np.random.Generator) -> NDArray[np
 
 @pytest.mark.parametrize("name", AGAINST_PACKAGE)
 def test_every_step_equals_the_package(name: str) -> None:
+    """State by state. It compares with np.array_equal: assert_array_equal would take a quarter of the time."""
     theirs, env = original(name), make(name)
     rng = np.random.default_rng(1)
     env.reset()
@@ -150,17 +151,17 @@ def test_every_step_equals_the_package(name: str) -> None:
             env.reset()
             theirs_observed, _ = theirs.reset(seed=episodes)
             place(env, 0, [p.position for p in theirs.players], [p.level for p in theirs.players], theirs.field)
-            np.testing.assert_array_equal(env.observations[0], np.stack(theirs_observed))
+            assert np.array_equal(env.observations[0], np.stack(theirs_observed))
             episodes += 1
         actions = lively_actions(env, 0, rng)
         theirs_observed, own, theirs_done, _, _ = theirs.step(list(actions))
         observations, rewards, terminated, truncated, info = env.step(actions[None])
-        np.testing.assert_array_equal(observations[0], np.stack(theirs_observed))
-        np.testing.assert_array_equal(info["agent_rewards"][0], np.array(own, np.float32))
-        np.testing.assert_array_equal(rewards[0], np.float32(sum(own)))
-        np.testing.assert_array_equal(env.game.agent[0, :, :2], [p.position for p in theirs.players])
-        np.testing.assert_array_equal(env.game.agent[0, :, 2], [p.level for p in theirs.players])
-        np.testing.assert_array_equal(board(env, 0), theirs.field)
+        assert np.array_equal(observations[0], np.stack(theirs_observed))
+        assert np.array_equal(info["agent_rewards"][0], np.array(own, np.float32))
+        assert rewards[0] == np.float32(sum(own))
+        assert np.array_equal(env.game.agent[0, :, :2], [p.position for p in theirs.players])
+        assert np.array_equal(env.game.agent[0, :, 2], [p.level for p in theirs.players])
+        assert np.array_equal(board(env, 0), theirs.field)
         assert terminated[0] == (theirs.field.sum() == 0)
         assert truncated[0] == (theirs_done and not terminated[0])
         done = theirs_done
