@@ -38,11 +38,18 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
 
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
     copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
-    Raises InputError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
+    Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
+    or seed out of range.
     """
     described = task(name)
     module = importlib.import_module(f"envs.{described.module}")
-    env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+    too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
+    if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
+        raise too_large
+    try:
+        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+    except MemoryError:
+        raise too_large from None
     return env
 
 
