@@ -52,7 +52,7 @@ class TestReturns:
         assert self.returns([1, 1, 1, 1], [0, 0, 0, 0], 1) == [1 + 10, 2 + 15, 4 + 20, 8 + 25]
 
     def test_padding_is_never_read(self):
-        """Two steps were played. What stands behind the state after them must not matter, time-out or terminal."""
+        """Two steps were played. What follows the state after them does not matter, after a time-out or a real end."""
         for terminated, expected in (([0, 0, 0, 0], [1 + 1 + 30 / 4, 2 + 15]), ([0, 1, 1, 1], [1 + 1, 2])):
             assert self.returns([1, 1, 0, 0], terminated, 3)[:2] == expected
             garbage_rewards, garbage_values = self.rewards.clone(), self.values.clone()
@@ -258,7 +258,7 @@ def test_every_parameter_learns(monkeypatch, name, sharing, network, individual)
 
 @pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
 def test_loss_of_the_second_epoch_is_clipped(name):
-    """By the cases of the PPO paper: a ratio above 1.2 does not help a good action, one below 0.8 not a bad one."""
+    """As in the PPO paper, a good action gains nothing from a ratio above 1.2, a bad one nothing from one below 0.8."""
     module = script(name)
 
     def learn(update_epochs):
@@ -331,7 +331,7 @@ class TestComa:
             assert inputs[0, 0, agent].tolist() == [7, 8, *(x for other in others for x in other)]
 
     def test_advantage_by_brute_force_over_the_actions(self):
-        """A joint-action value table of two agents: the baseline sums over the own actions, the other's fixed."""
+        """Two agents with a table of joint values: the baseline varies the agent's own action, not the other's."""
         generator = torch.Generator().manual_seed(0)
         n_actions = 3
         table = torch.randn(n_actions, n_actions, generator=generator)  # value of the joint action

@@ -207,7 +207,7 @@ def test_updates_in_a_row(name):
 @pytest.mark.parametrize("network", ["fc", "gru"])
 @pytest.mark.parametrize("standardisation", ["none", "batch"])
 def test_what_was_not_played_is_never_learnt_from(name, network, standardisation):
-    """Rows behind an end are empty, or what an older episode left there: no action available, or all of them."""
+    """Rows after an end are empty or hold what an older episode left there, with no action available or with all."""
     module = script(name)
     args = make_args(module, network=network, reward_standardisation=standardisation, time_limit="bootstrap")
     torch.manual_seed(0)
@@ -224,7 +224,7 @@ def test_what_was_not_played_is_never_learnt_from(name, network, standardisation
 
 @pytest.mark.parametrize("name", OFF_POLICY)
 def test_gradients_are_clipped_together(name):
-    """Agents and mixer as one, actor and critic apart; the norm is exactly what is allowed where it was more."""
+    """Agents and mixer together, actor and critic each alone; a larger norm becomes exactly the largest allowed."""
     module = script(name)
     args = make_args(module)
     torch.manual_seed(0)
@@ -240,7 +240,7 @@ def test_gradients_are_clipped_together(name):
 @pytest.mark.parametrize("name", OFF_POLICY)
 @pytest.mark.parametrize("method", ["hard", "soft"])
 def test_targets_follow(name, method):
-    """All of them: a copy at update 200, not at 199; or one hundredth of the way, each time."""
+    """All targets are copied at update 200 and not at 199, or move by one hundredth of the way at each update."""
     module = script(name)
     args = make_args(module, target_update=method)
     torch.manual_seed(0)
