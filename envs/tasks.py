@@ -97,7 +97,7 @@ def unknown(name: str) -> str:
     if translations:
         return f"unknown task {name!r}; this project does not have that game, and {table}."
     spelled = {ours.lower(): ours for ours in PAPER_TASKS}
-    near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled, n=3, cutoff=0.8)]
+    near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled)]
     if near:
         return f"unknown task {name!r}; similar names are {', '.join(near)}, and {table}."
     return f"unknown task {name!r}; {table}."
