@@ -89,18 +89,18 @@ def unknown(name: str) -> str:
     """What to tell a user who asked for a task that does not exist."""
     table = "`python -m envs` lists the tasks"
     if len(name) > LONGEST_NAME:
-        return f"unknown task {name[:40] + '...'!r} (a name of {len(name):,} characters); {table}."
+        return f"unknown task {name[:40] + '...'!r} (a name of {len(name):,} characters). {table}."
     translations = names_here(name)
     here = [ours for ours in translations if is_task(ours)]
     if here:
-        return f"unknown task {name!r}; here it is called {' or '.join(here)}, and {table}."
+        return f"unknown task {name!r}; here it is called {' or '.join(here)}. {table}."
     if translations:
-        return f"unknown task {name!r}; this project does not have that game, and {table}."
+        return f"unknown task {name!r}; this project does not have that game. {table}."
     spelled = {ours.lower(): ours for ours in PAPER_TASKS}
     near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled)]
     if near:
-        return f"unknown task {name!r}; similar names are {', '.join(near)}, and {table}."
-    return f"unknown task {name!r}; {table}."
+        return f"unknown task {name!r}; did you mean {' or '.join(near)}? {table}."
+    return f"unknown task {name!r}. {table}."
 
 
 def is_task(name: str) -> bool:

@@ -121,7 +121,7 @@ def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
 def test_unknown_names_far_from_all_offer_none(name: str) -> None:
     with pytest.raises(envs.InputError) as error:
         envs.task(name)
-    assert str(error.value) == f"unknown task {name!r}; `python -m envs` lists the tasks."
+    assert str(error.value) == f"unknown task {name!r}. `python -m envs` lists the tasks."
 
 
 @pytest.mark.parametrize("name", ["a" * 100_000, "matrix-penalty-" + "9" * 100_000, "rware-tiny-" + "1" * 300 + "ag"])
@@ -147,7 +147,7 @@ def test_long_names_are_cut(name: str) -> None:
 def test_names_of_the_reference_are_translated(name: str, ours: str) -> None:
     with pytest.raises(envs.InputError) as error:
         envs.task(name)
-    assert f"unknown task {name!r}; here it is called {ours}, and" in str(error.value)
+    assert f"unknown task {name!r}; here it is called {ours}. " in str(error.value)
     for task in ours.split(" or "):
         assert envs.task(task).name == task
 
@@ -183,10 +183,10 @@ def test_a_translation_that_is_no_task_is_not_offered(monkeypatch: pytest.Monkey
     for name in ("climbing", "Foraging-8x8-2p-2f-coop-v3", "rware-tiny-4ag", "3s5z", "simple_spread"):
         with pytest.raises(envs.InputError) as error:
             envs.task(name)
-        assert str(error.value).startswith(f"unknown task {name!r}; this project does not have that game, and")
+        assert str(error.value).startswith(f"unknown task {name!r}; this project does not have that game. ")
     described = tasks.Task("mpe-spread", "mpe", 1, 1, 2, "mpe", {})
     monkeypatch.setattr(tasks, "PARSERS", (lambda name: described if name == "mpe-spread" else None,))
-    with pytest.raises(envs.InputError, match="'simple_spread_v3'; here it is called mpe-spread, and"):
+    with pytest.raises(envs.InputError, match=r"'simple_spread_v3'; here it is called mpe-spread\. "):
         envs.task("simple_spread_v3")
 
 
@@ -212,7 +212,7 @@ def test_the_command_line() -> None:
     assert " ".join(cells) == "lbf-15x15-3p-5f 3 24 72 6 50 20,000,000 2,000,000"
     unknown = run("lbf-15x15-3p-5f", "lbf-15x15-3p-5")
     assert unknown.returncode == 2 and unknown.stdout == ""
-    assert unknown.stderr.count("\n") == 1 and "similar names are lbf-15x15-3p-5f" in unknown.stderr
+    assert unknown.stderr.count("\n") == 1 and "did you mean lbf-15x15-3p-5f" in unknown.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="closes file descriptors as a shell of Unix does")
