@@ -4,7 +4,7 @@
     observations, info = env.reset()
     observations, rewards, terminated, truncated, info = env.step(actions)
 
-`envs.vector` states the contract of an environment, `envs.tasks` the grammar of the names.
+`envs.vector` states the contract of an environment, and `envs.tasks` the grammar of the names.
 """
 
 from __future__ import annotations
@@ -36,17 +36,27 @@ def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> Vect
     """Build num_envs sub-environments of a task.
 
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
-    copy: False lets `reset` and `step` return the same arrays each time and allocate nothing.
-    Raises InputError for an unknown or impossible name, ValueError for a num_envs or seed out of range.
+    copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
+    Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
+    or seed out of range.
     """
     described = task(name)
     module = importlib.import_module(f"envs.{described.module}")
-    env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+    too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
+    if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
+        raise too_large
+    try:
+        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+    except MemoryError:
+        raise too_large from None
     return env
 
 
 def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:
-    """Play with a team that a script's `load` returned, and save the first episodes as a GIF. Returns where it is."""
+    """Play with a team that a script's `load` returned, and save the first episodes as a GIF.
+
+    Returns a line that says where the film is, or that there is none.
+    """
     if not env.can_draw:
         return f"{env.name} has no pictures, so there is no film."
     from envs import render  # imports Pillow

@@ -1,8 +1,9 @@
-"""`python -m envs`: the paper's tasks that are here, in a table. `python -m envs <name> ...`: those tasks."""
+"""`python -m envs` prints a table of the paper's tasks, `python -m envs <name> ...` one of the named tasks."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
 import envs
@@ -18,22 +19,27 @@ def row(name: str) -> tuple[str, ...]:
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
 
-def main(argv: list[str]) -> int:
-    """Print the table; returns the exit code."""
+def main(argv: list[str]) -> None:
+    """Print the table. A wrong name ends with one sentence and exit code 2."""
     parser = argparse.ArgumentParser(prog="python -m envs", description="Tasks, their sizes and the paper's budgets.")
-    parser.add_argument("names", nargs="*", metavar="name", help="of a task; default: the paper's that are here")
+    parser.add_argument("names", nargs="*", metavar="name", help="a task; without any, all tasks of the paper")
     names = parser.parse_args(argv).names
     try:
         table = [HEADER, *(row(name) for name in names or envs.task_names())]
     except envs.InputError as error:
-        print(error, file=sys.stderr)
-        return 2
+        parser.exit(2, f"{error}\n")
     widths = [max(len(line[column]) for line in table) for column in range(len(HEADER))]
+    lines = []
     for line in table:
         cells = (cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True))
-        print("  ".join((line[0].ljust(widths[0]), *cells)))
-    return 0
+        lines.append("  ".join((line[0].ljust(widths[0]), *cells)))
+    try:
+        print("\n".join(lines), flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
+        if not isinstance(error, BrokenPipeError):  # that is a reader such as `head`, which has seen enough
+            parser.exit(2, f"The table cannot be written: {error}.\n")
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(sys.argv[1:])

@@ -21,8 +21,9 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def cache_folder() -> str | None:
     """The folder for this version of the rules in the user's cache directory, or None where it cannot be written.
 
-    Numba renews a cached function when the file it stands in changes, but not when a file that it calls does: stale
-    rules would run silently. A folder named by a hash of every source file of this package cannot be stale.
+    Numba compiles a cached function again when the function's own file changes, but not when another file changes whose
+    functions it calls. Old rules would then run silently. A folder that is named by a hash of all source files of this
+    package never holds old rules.
     """
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
@@ -48,14 +49,14 @@ NUMBA: Any = numba.config  # its attributes are made at run time
 def compiled(function: Function) -> Function:
     """Compile a rule or a loop over rules; the result is kept on disk for the next process.
 
-    The folder is set for this function alone: what else the process compiles stays where the user wants it. A
-    NUMBA_CACHE_DIR that the user has set is respected. Where no folder can be written each process compiles anew.
+    The folder is set for this function alone, so that whatever else the process compiles stays where the user wants it.
+    A NUMBA_CACHE_DIR that the user has set is respected. If no folder can be written, each process compiles anew.
     """
     users_folder = NUMBA.CACHE_DIR
     folder = users_folder or CACHE or ""
     NUMBA.CACHE_DIR = folder
     try:
-        # Inlined, a step takes half the time: a rule receives too many arrays for cheap calls.
+        # With the rules inlined a step takes half the time: calls with so many arrays are expensive.
         result: Any = numba.njit(function, cache=folder != "", forceinline=True)
     finally:
         NUMBA.CACHE_DIR = users_folder
@@ -63,7 +64,7 @@ def compiled(function: Function) -> Function:
 
 
 def wrapping(function: Function) -> Function:
-    """Silence NumPy's warning of integer overflow where the rules run uncompiled; compiled code never warns."""
+    """Silence NumPy's warnings about integer overflow if the rules run uncompiled; compiled code never warns."""
     return np.errstate(over="ignore")(function) if NUMBA.DISABLE_JIT else function
 
 
@@ -85,7 +86,7 @@ SHIFT_32 = np.uint64(32)
 @wrapping
 @compiled
 def mix(x):
-    """Scramble a uint64: a bijection in which every input bit moves every output bit half of the time."""
+    """Scramble a uint64: a bijection in which each input bit changes each output bit in about half of all cases."""
     x = (x ^ (x >> SHIFT_30)) * MIX_1
     x = (x ^ (x >> SHIFT_27)) * MIX_2
     return x ^ (x >> SHIFT_31)
@@ -105,7 +106,8 @@ def episode_state(seed, index, episode):
 def random_below(random, e, bound):
     """A uniform integer in 0 .. bound-1 from the generator of sub-environment e, for bounds below 2^32.
 
-    The upper half of the 64 bits, times the bound, shifted down: probabilities are even to bound / 2^32.
+    It is the upper half of the 64 bits, times the bound, divided by 2^32. The probabilities are equal up to a relative
+    error of bound / 2^32.
     """
     random[e] += WEYL
     return np.int64(((mix(random[e]) >> SHIFT_32) * np.uint64(bound)) >> SHIFT_32)
@@ -113,7 +115,7 @@ def random_below(random, e, bound):
 
 @compiled
 def forbidden_action(actions, action_mask):
-    """Index (sub-environment times agents plus agent) of the first action that may not be taken; -1: all are fine.
+    """Index (sub-environment times agents plus agent) of the first action that may not be taken, or -1.
 
     actions: int [env, agent]; action_mask: bool [env, agent, action].
     """

@@ -2,31 +2,35 @@
 
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]      n agents, f foods; -2s: sight 2; -c: cooperative; -v3: see below
 
-Agents and foods have levels. Agents next to a food (not diagonally) that load in the same step collect it if their
-levels add up to at least its own.
+Agents and foods have levels. Agents that stand next to a food (not diagonally) and load in the same step collect it if
+the sum of their levels is at least the food's level.
 
 Actions: 0 nothing, 1 north (row - 1), 2 south (row + 1), 3 west (column - 1), 4 east (column + 1), 5 load. The mask
-always allows all; an action that cannot be done (off the board, into a food, no food to load) is nothing. Agents that
-head for one and the same cell all stay where they are, also if one of them is there already. An agent held back in this
-way does not stop another from moving onto its cell, so that two can stand on one: a quirk of the original, kept.
+always allows all of them. An action that cannot be carried out (off the board, onto a food, no food to load) does
+nothing. Agents that would stand on the same cell after the step all stay where they are, also if one of them is there
+already. An agent that is held back in this way does not keep another from moving onto its cell, so two agents can stand
+on one cell. The original does the same.
 
 Observation (3 f + 3 n values):
-    row, column, level of each visible food, in row-major order; -1, -1, 0 for each food that is not seen or not there;
-    row, column, level of the agent itself, then of each other visible agent, in order; -1, -1, 0 for each not seen.
-Sight is 2 or, without -2s, the larger side of the board. An agent sees the foods up to `sight` rows and columns away;
-rows and columns are counted from the top left corner of this window, cut off at the border. Another agent is visible
-where both its coordinates, counted like this, lie in 0 .. 2 sight: near the top and the left border that is further
-than foods are seen (a quirk of the original, kept). State: the observations of all agents, one after the other.
+    row, column, level of each visible food, in row-major order; -1, -1, 0 for each food out of sight, collected or
+    never placed;
+    row, column, level of the agent itself, then of the other visible agents in order; -1, -1, 0 for each out of sight.
+With -2s the sight is 2, otherwise the longer side of the board. An agent sees the foods that are at most `sight` rows
+and columns away. Rows and columns are counted from the top left corner of this window, which ends at the border of the
+board. Another agent is visible if both its coordinates, counted in this way, lie in 0 .. 2 sight. Near the top and the
+left border this is further than foods are seen, as in the original. State: the observations of all agents in a row.
 
-Reward of an agent for its part in a collected food: level * food / (sum of the loaders' levels * sum of all foods'
-levels at the start). The team's reward is the sum over the agents: a cleared board has brought 1.
-End: no food left, a termination; step 50, a truncation.
+Reward: an agent that takes part in collecting a food receives its own level * the food's level / (the sum of the
+loaders' levels * the sum of all foods' levels at the start). The team's reward is the sum over the agents, so that an
+episode in which all foods are collected returns 1.
+End: no food left is a termination; step 50 is a truncation.
 
-Start: agents have level 1 or 2; S is the sum of the three smallest levels (of all, if there are fewer agents). Foods
-lie off the border, no two of them within two steps. At most 1,000 places are drawn for them: on a small board, where
-the first foods can leave no room for the next, an episode may begin with fewer than f. Cooperative foods have level S.
-    The paper's rules (version 1 of lbforaging): agents on all rows and columns but the last; food levels 1 .. S-1.
-    -v3 (today's lbforaging): agents on all cells; food levels 1 .. S.
+Start: agents have level 1 or 2. S is the sum of the three smallest levels (of all, if there are fewer agents). Foods
+lie inside the border, at least three steps apart. At most 1,000 places are drawn for them. On a small board the first
+foods can leave no room for the next, so an episode may begin with fewer than f. With -c all foods have level S.
+    The paper's rules (version 1 of lbforaging): agents start anywhere but in the last row and the last column; without
+    -c the foods have levels 1 .. S-1 (or 1, if S is 1).
+    -v3 (today's lbforaging): agents start anywhere; without -c the foods have levels 1 .. S.
 """
 
 from __future__ import annotations
@@ -45,18 +49,18 @@ NORTH, SOUTH, WEST, EAST, LOAD = 1, 2, 3, 4, 5
 
 # Colours of a frame
 APPLE, STALK, LEAF = (200, 45, 50), (110, 75, 45), (85, 140, 60)
-AMBER, GREEN = (255, 185, 40), (60, 165, 85)  # loading without and with success
+AMBER, GREEN = (255, 185, 40), (60, 165, 85)  # the colours of loading without and with success
 
 
 class State(NamedTuple):
-    """One game per entry of the leading axis."""
+    """One game for each index of the leading axis."""
 
     random: NDArray[np.uint64]  # [env] the generator's state
     steps: NDArray[np.int64]  # [env]
     score: NDArray[np.float64]  # [env] the team's return so far
     agent: NDArray[np.int64]  # [env, agent, (row, column, level)]
     target: NDArray[np.int64]  # [env, agent, (row, column)] where the agent wants to be after this step
-    loading: NDArray[np.int64]  # [env, agent] the food that it loads in this step; -1: none
+    loading: NDArray[np.int64]  # [env, agent] the food that it loads in this step, or -1
     food: NDArray[np.int64]  # [env, food, (row, column, level)] in row-major order; level 0: collected
     food_left: NDArray[np.int64]  # [env] how many are left
     food_total: NDArray[np.int64]  # [env] sum of the foods' levels at the start
@@ -102,7 +106,7 @@ def reset_env(state, config, e):
         state.loading[e, i] = -1
 
     three = min(n_agents, 3)
-    three_smallest = three + max(0, three - level_one)  # each of the three that cannot be a 1 is a 2
+    three_smallest = three + max(0, three - level_one)  # where a 1 is missing among the three, there is a 2
     highest = three_smallest
     if config.version == 1 and not config.cooperative:
         highest = max(1, three_smallest - 1)
@@ -147,7 +151,7 @@ def step_env(state, config, e, actions):
         to_row = min(max(row + (action == SOUTH) - (action == NORTH), 0), config.rows - 1)
         to_column = min(max(column + (action == EAST) - (action == WEST), 0), config.columns - 1)
         blocked = False
-        next_to = -1  # foods are three steps apart: no agent is next to two of them
+        next_to = -1  # foods are three steps apart, so no agent is next to two of them
         for f in range(n_foods):
             there = food[e, f, 2] > 0
             blocked |= there & (food[e, f, 0] == to_row) & (food[e, f, 1] == to_column)
@@ -230,7 +234,7 @@ def observe_env(state, config, e):
             seen += 3
 
 
-# The loops take the fields of State and Config one by one: a NamedTuple costs microseconds at the border to Python.
+# The loops take the fields of State and Config one by one, since passing a NamedTuple from Python costs microseconds.
 
 
 @compiled
@@ -297,7 +301,7 @@ class Env(vector.VectorEnv):
         cooperative: bool,
         version: int,
     ) -> None:
-        """version: 1, the paper's start, or 3, that of today's lbforaging."""
+        """version: 1 for the start of the paper's rules, 3 for that of today's lbforaging."""
         super().__init__(
             name,
             num_envs,
@@ -341,8 +345,8 @@ class Env(vector.VectorEnv):
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
         """The board of one sub-environment: agents by number and colour, levels in the small discs, foods as apples.
 
-        A band joins an agent to the food that it loads: amber where the levels do not suffice, green where the food,
-        drawn hollow, has been collected in this step.
+        A band joins an agent to the food that it loads. It is amber if the levels do not suffice, and green if the food
+        has been collected in this step; the food is then drawn hollow.
         """
         from envs import render  # Pillow is needed only where something is drawn
 
@@ -382,7 +386,7 @@ class Env(vector.VectorEnv):
             here = np.flatnonzero((agents[:, :2] == agent[:2]).all(axis=1))
             x, y = centre(agent)
             half = 0.41 * cell
-            if len(here) > 1:  # agents on one cell stand smaller, along a diagonal
+            if len(here) > 1:  # agents that share a cell are drawn smaller, along its diagonal
                 half = 0.3 * cell
                 shift = (np.flatnonzero(here == i)[0] / (len(here) - 1) - 0.5) * 0.4 * cell
                 x, y = x + shift, y - shift

@@ -6,13 +6,14 @@ Two agents choose a row and a column at the same time and both receive the entry
               -30    7   0                    0   2   0
                 0    6   5                   10   0  -k
 
-The benchmark paper prints climbing's rows from the bottom to the top. Its results hold for the rows as they stand here,
-where agents that act alike earn 11, 7 or 5: untrained agents that share a network score 275, 175 or 125 in it (no
-other five seeds have the mean and interval of its VDN), and IA2C, IPPO, MAA2C and MAPPO end at 175 with all seeds,
-where with the rows as printed MAPPO found 275 in five of nine.
+The benchmark paper prints climbing's rows from the bottom to the top, but its results belong to the order above. In
+this order, two agents that choose the same action earn 11, 7 or 5. Untrained agents that share a network do choose the
+same action, so their episodes return 275, 175 or 125, and the mean and the interval of the paper's VDN can only come
+from such returns. In the paper IA2C, IPPO, MAA2C and MAPPO end at 175 with all seeds. With the rows as they are
+printed, MAPPO found 275 with five of nine seeds.
 
-Observation: two zeros per agent, always. Actions: 0, 1, 2, the row (agent 0) or the column (agent 1).
-Reward: the payoff, for each agent; the team's reward is the mean over the agents, which is the payoff.
+Observation: always two zeros for each agent. Actions: 0, 1, 2, the row (agent 0) or the column (agent 1).
+Reward: each agent receives the payoff. The team's reward is the mean over the agents, which is the payoff again.
 End: step 25, a truncation.
 """
 
@@ -31,7 +32,7 @@ CLIMBING = ((11, -30, 0), (-30, 7, 0), (0, 6, 5))
 
 
 class State(NamedTuple):
-    """One game per entry of the leading axis."""
+    """One game for each index of the leading axis."""
 
     steps: NDArray[np.int64]  # [env]
     agent_rewards: NDArray[np.float32]  # [env, agent]
@@ -79,7 +80,7 @@ class Env(vector.VectorEnv):
     """Matrix games; see the module's docstring."""
 
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, penalty: int | None) -> None:
-        """penalty: k of the penalty game, None for climbing."""
+        """penalty: the k of the penalty game, or None for climbing."""
         super().__init__(
             name, num_envs, seed, copy, n_agents=2, n_actions=3, obs_size=2, episode_limit=EPISODE_LIMIT, low=0, high=0
         )

@@ -1,6 +1,6 @@
 """Pictures: a canvas to draw frames on, and films made of frames.
 
-Importing this module imports Pillow, so it is done where something is drawn.
+This module imports Pillow, so it is imported only where something is drawn.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PAPER: Colour = (250, 249, 246)
 LINES: Colour = (221, 218, 210)
 INK: Colour = (48, 50, 56)
 WHITE: Colour = (255, 255, 255)
-AGENTS: tuple[Colour, ...] = (  # dark enough for white text, also told apart by the colour-blind in the first places
+AGENTS: tuple[Colour, ...] = (  # dark enough for white text; colour-blind readers can tell the first ones apart
     (31, 105, 180),
     (204, 102, 0),
     (120, 70, 160),
@@ -32,17 +32,17 @@ AGENTS: tuple[Colour, ...] = (  # dark enough for white text, also told apart by
     (80, 90, 105),
     (150, 130, 0),
 )
-DETAIL = 4  # drawn this many times larger and then reduced, so edges are smooth
+DETAIL = 4  # pictures are drawn this many times larger and then reduced, so that edges are smooth
 
 
 @lru_cache
 def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font: there on every machine."""
+    """Pillow's own font, which exists on every machine."""
     return ImageFont.load_default(size * DETAIL)
 
 
 class Canvas:
-    """A picture of width x height pixels; coordinates are pixels, fractions welcome, from the top left corner."""
+    """A picture of width x height pixels. Coordinates are pixels from the top left corner and may be fractions."""
 
     def __init__(self, width: int, height: int) -> None:
         self.size = (width, height)
@@ -70,14 +70,14 @@ class Canvas:
     def square(
         self, x: float, y: float, half: float, fill: Colour | None = None, edge: Colour | None = None, width: float = 1
     ) -> None:
-        """A square with round corners around (x, y), half a side to each direction."""
+        """A square with round corners around (x, y); half: half the length of a side."""
         box = [(x - half) * DETAIL, (y - half) * DETAIL, (x + half) * DETAIL, (y + half) * DETAIL]
         self.pen.rounded_rectangle(
             box, 0.45 * half * DETAIL, fill=fill, outline=edge, width=max(1, round(width * DETAIL))
         )
 
     def text(self, x: float, y: float, text: str, size: float, colour: Colour = INK, anchor: str = "mm") -> None:
-        """Text of a height in pixels; anchor: Pillow's, "mm" the middle, "lm" the left end, "rm" the right end."""
+        """Text, `size` pixels high. (x, y) is its middle (anchor "mm"), its left end ("lm") or its right end ("rm")."""
         weight = 0.025 * size * DETAIL  # Pillow's own font is thin
         where = (x * DETAIL, y * DETAIL)
         self.pen.text(where, text, fill=colour, font=font(size), anchor=anchor, stroke_width=weight)
@@ -91,14 +91,14 @@ def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str],
     """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
 
     The last frame stays for a second, so that the end is seen before the film starts again.
-    Raises ValueError where there is no frame or the sizes differ.
+    Raises ValueError if there is no frame or if the sizes differ.
     """
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ValueError("a film needs at least one frame.")
     if any(image.size != images[0].size for image in images):
         raise ValueError("the frames of a film must be of one size.")
-    # One palette for the whole film, taken from frames all over it, and no dithering: flat colours do not flicker.
+    # One palette for the whole film, taken from frames all over it, and no dithering, so that colours do not flicker.
     sample = images[:: max(1, len(images) // 8)]
     strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
     for i, image in enumerate(sample):
@@ -120,9 +120,9 @@ class Team(Protocol):
 
 
 def film(env: VectorEnv, team: Team, path: str | os.PathLike[str], episodes: int = 5) -> None:
-    """Play an episode in each sub-environment; save the first few of them, one after the other, as a GIF.
+    """Play an episode in each sub-environment, and save the first few of them, one after the other, as a GIF.
 
-    Raises ValueError where the family has no pictures.
+    Raises ValueError if the family has no pictures.
     """
     observations, info = env.reset()
     team.reset()

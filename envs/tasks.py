@@ -3,8 +3,9 @@
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
 
-A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
-form, or raises InputError where it has the form but no game can be played. `PARSERS` lists them.
+A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
+the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
+parsers.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from typing import Any
 
 
 class InputError(ValueError):
-    """What the user asked for cannot be done, as an unknown task; the message is one sentence for them."""
+    """The user asked for something that cannot be done, such as an unknown task. The message is one sentence."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A task by its name, with what the paper says of it.
+    """A task: its name, what the paper says about it, and how its environment is built.
 
-    family: whose hyperparameters apply (a family of the paper: matrix, mpe, smac, lbf, rware).
+    family: the family of the paper whose hyperparameters apply (matrix, mpe, smac, lbf, rware).
     on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
-    eval_points: evaluations in a run, the one before training included.
-    module, settings: the module of this package that plays the task, and what its environment is built with.
+    eval_points: the number of evaluations in a run, including the one before training.
+    module, settings: the module of this package that plays the task, and keyword arguments for its environment.
     """
 
     name: str
@@ -57,36 +58,116 @@ PAPER_TASKS = (
 
 
 def task_names() -> list[str]:
-    """The names of the paper's tasks, as far as their families are here; the grammar above makes many more."""
+    """The names of the paper's tasks that exist here. The grammar above allows many more."""
     return list(PAPER_TASKS)
 
 
 def task(name: str) -> Task:
-    """The task of that name. InputError: the name is unknown (the message has the nearest ones) or impossible."""
+    """The task of that name.
+
+    Raises InputError for a name that is impossible or unknown. The message says which name was probably meant.
+    """
+    found = parsed(name) if len(name) <= LONGEST_NAME else None
+    if found is None:
+        raise InputError(unknown(name))
+    return found
+
+
+LONGEST_NAME = 200  # characters
+
+
+def parsed(name: str) -> Task | None:
+    """The task, or None if no family has names of this form. Raises InputError if there is no such game."""
     for parse in PARSERS:
         found = parse(name)
         if found is not None:
             return found
-    nearest = difflib.get_close_matches(name, PAPER_TASKS, n=3, cutoff=0.0)
-    raise InputError(f"unknown task {name!r}; the nearest are {', '.join(nearest)}.")
+    return None
+
+
+def unknown(name: str) -> str:
+    """What to tell a user who asked for a task that does not exist."""
+    table = "`python -m envs` lists the tasks"
+    if len(name) > LONGEST_NAME:
+        return f"unknown task {name[:40] + '...'!r} (a name of {len(name):,} characters). {table}."
+    translations = names_here(name)
+    here = [ours for ours in translations if is_task(ours)]
+    if here:
+        return f"unknown task {name!r}; here it is called {' or '.join(here)}. {table}."
+    if translations:
+        return f"unknown task {name!r}; this project does not have that game. {table}."
+    spelled = {ours.lower(): ours for ours in PAPER_TASKS}
+    near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled)]
+    if near:
+        return f"unknown task {name!r}; did you mean {' or '.join(near)}? {table}."
+    return f"unknown task {name!r}. {table}."
+
+
+def is_task(name: str) -> bool:
+    """Whether `task` would find the name."""
+    try:
+        return parsed(name) is not None
+    except InputError:
+        return False
+
+
+def names_here(name: str) -> list[str]:
+    """Our names for what the original packages and the paper's code call `name`, the best one first.
+
+    The list is empty if `name` has none of their forms. It may contain names of tasks that do not exist.
+    """
+    lbf = re.fullmatch(
+        r"(?:lbforaging:)?Foraging(?:-(\d+)s)?-(\d+)x(\d+)-(\d+)p-(\d+)f(-coop)?(?:-v(\d+))?", name, re.ASCII
+    )
+    if lbf:
+        sight, rows, columns, agents, foods, cooperative, version = lbf.groups()
+        sees_all = sight is None or int(sight) >= max(int(rows), int(columns))
+        sight_part = "" if sees_all else f"-{sight}s"
+        ours = f"lbf-{rows}x{columns}-{agents}p-{foods}f{sight_part}{'-c' if cooperative else ''}"
+        return [f"{ours}-v3", ours] if version == "3" else [ours]
+
+    rware = re.fullmatch(r"(?:rware:)?rware-([a-z]+)-(\d+)ag(-easy|-hard)?(?:-v\d+)?", name, re.ASCII)
+    if rware:
+        size, agents, difficulty = rware.groups()
+        return [f"rware-{size}-{agents}p{difficulty or ''}"]
+
+    mpe = re.fullmatch(r"(?:pz-mpe-|mpe:|mpe2\.)?simple[-_]?([a-z_-]+?)(?:[-_]v(\d+))?", name, re.ASCII | re.IGNORECASE)
+    scenarios = {"speakerlistener": "speaker-listener", "spread": "spread", "adversary": "adversary", "tag": "tag"}
+    scenario = scenarios.get(re.sub("[-_]", "", mpe[1].lower())) if mpe else None
+    if mpe and scenario:
+        of_the_package = mpe[2] is not None and int(mpe[2]) >= 2  # PettingZoo's and mpe2's physics; Gym's had v0
+        return [f"mpe2-{scenario}", f"mpe-{scenario}"] if of_the_package else [f"mpe-{scenario}"]
+
+    matrix = re.fullmatch(r"(?:matrixgames:)?(climbing|penalty-\d+)(?:-nostate)?(?:-v\d+)?", name, re.ASCII)
+    if matrix:
+        return [f"matrix-{matrix[1]}"]
+
+    units = r"(?:\d+[a-z]+)+"
+    named_maps = "MMM2?|corridor|bane_vs_bane|so_many_baneling"
+    smac = re.fullmatch(rf"(smaclite/|smac[:/-])?({units}(?:_vs_{units})?|{named_maps})(?:-v0)?", name, re.ASCII)
+    if smac:
+        package, battle = smac.groups()
+        lite = [f"smaclite-{battle}"]
+        return lite if package == "smaclite/" else [f"smac-{battle}", f"smaclite-{battle}-sc2"]
+    return []
 
 
 NUMBER = "(0|[1-9][0-9]*)"
 
 
 def parse_matrix(name: str) -> Task | None:
-    """The climbing game, or the penalty game with a penalty of -k for any whole k."""
+    """The climbing game, or the penalty game with the penalty -k for any whole number k."""
     match = re.fullmatch(f"matrix-(?:climbing|penalty-{NUMBER})", name)
     if match is None:
         return None
     penalty = None if match[1] is None else int(match[1])
     if penalty is not None and penalty > 2**24:
-        raise InputError(f"{name}: the penalty is larger than 2^24, up to which a 32-bit reward is exact.")
+        raise InputError(f"{name}: the penalty is larger than 2^24, and 32-bit rewards are exact only up to there.")
     return Task(name, "matrix", 2_500_000, 250_000, 101, "matrix", {"penalty": penalty})
 
 
 def parse_lbf(name: str) -> Task | None:
-    """Level-Based Foraging on a board of any size that has room for the foods and the agents."""
+    """Level-Based Foraging on a board of any size that has room for the agents and the foods."""
     match = re.fullmatch(f"lbf-{NUMBER}x{NUMBER}-{NUMBER}p-{NUMBER}f(-2s)?(-c)?(-v3)?", name)
     if match is None:
         return None
@@ -94,16 +175,16 @@ def parse_lbf(name: str) -> Task | None:
     if n_agents == 0 or n_foods == 0:
         raise InputError(f"{name}: the game needs at least one agent and one food.")
     if rows < 3 or columns < 3:
-        raise InputError(f"{name}: foods lie off the border, so a board has at least 3 rows and 3 columns.")
+        raise InputError(f"{name}: foods never lie on the border, so a board needs at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:
-        raise InputError(f"{name}: {n_agents} agents may leave no cell off the border free for a food.")
+        raise InputError(f"{name}: {n_agents} agents may leave no cell inside the border free for a food.")
     if max(rows, columns) > 2**24:
-        raise InputError(f"{name}: a side is longer than 2^24, up to which 32-bit observations are exact.")
+        raise InputError(f"{name}: a side is longer than 2^24, and 32-bit observations are exact only up to there.")
     room = max(room_for_foods(rows, columns, n_foods), room_for_foods(columns, rows, n_foods))
     if room < n_foods:
         raise InputError(
-            f"{name}: foods lie off the border and at least three steps apart; a {rows}x{columns} board is played with "
-            f"up to {room}, not {n_foods}."
+            f"{name}: foods lie inside the border and at least three steps apart, so a {rows}x{columns} board is "
+            f"played with at most {room} of them, not {n_foods}."
         )
     settings = {
         "rows": rows,
@@ -118,20 +199,20 @@ def parse_lbf(name: str) -> Task | None:
 
 
 def room_for_foods(rows: int, columns: int, wanted: int) -> int:
-    """How many foods, up to the number wanted, go on a board when each takes the first cell that is still free.
+    """The number of foods, at most `wanted`, that fit on a board when each takes the first cell that is still free.
 
-    Now and then a cleverer arrangement holds a few more (27 against 29 on 14x14), but foods placed at random never
-    come near that many.
+    Sometimes a cleverer arrangement holds a few more (29 instead of 27 on 14x14), but foods that are placed at random
+    never come near that number.
     """
     placed = 0
-    taken: set[tuple[int, int]] = set()  # within two steps of a food
+    taken: set[tuple[int, int]] = set()  # cells within two steps of a food
     for row in range(1, rows - 1):
         for column in range(1, columns - 1):
             if placed == wanted:
                 return placed
             if (row, column) not in taken:
                 placed += 1
-                for down in range(3):  # what lies above has been passed
+                for down in range(3):  # the cells above are not visited again
                     taken.update((row + down, column + across) for across in range(down - 2, 3 - down))
     return placed
 

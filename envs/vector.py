@@ -9,15 +9,28 @@
     terminated             bool    [num_envs]      a real end: the value after it is zero
     truncated              bool    [num_envs]      the clock ran out: the state after it still has a value
     info["agent_rewards"]  float32 [num_envs, n_agents]              each agent's own reward
-    info["state"]          float32 [num_envs, state_size]            where the state is the observations: a view of them
+    info["state"]          float32 [num_envs, state_size]            a view of the observations if it consists of them
     info["action_mask"]    bool    [num_envs, n_agents, n_actions]   always at least one action
-    info["statistics"]     dict of float32 [num_envs]                what a family reports of an episode besides its
+    info["statistics"]     dict of float32 [num_envs]                what a family reports about an episode besides its
                                                                      return; valid where an episode has just ended
     env.teams              for each agent the number of its team; all 0 in cooperative tasks
 
-Nothing resets by itself (autoreset mode DISABLED). A finished sub-environment stands still, with reward 0 and its flag
-up, until a reset: of all, or of those that options["reset_mask"] (bool [num_envs]) names. Where teams oppose each
-other, the team's reward is that of team 0.
+Nothing resets by itself (Gymnasium's autoreset mode DISABLED). A finished sub-environment stands still, with reward 0
+and its flag up, until a reset: of all sub-environments, or of those that options["reset_mask"] (bool [num_envs]) names.
+Where teams oppose each other, the team's reward is that of team 0.
+
+Gymnasium's `RecordEpisodeStatistics` counts an episode in every step in which a flag is up. In a loop that waits until
+all sub-environments have finished, it counts those that stand still again and again: in a trial with random actions on
+`lbf-5x5-2p-1f` it counted 273 episodes where there were eight. It counts right if the loop resets at once whatever has
+finished:
+
+    recording = RecordEpisodeStatistics(env)
+    observations, info = recording.reset()
+    for _ in range(steps):
+        observations, rewards, terminated, truncated, info = recording.step(act(observations, info))
+        finished = terminated | truncated
+        if finished.any():
+            observations, info = recording.reset(options={"reset_mask": finished})
 """
 
 from __future__ import annotations
@@ -39,10 +52,10 @@ Info = dict[str, Any]
 
 
 class VectorEnv(GymnasiumVectorEnv):
-    """What all families share; a family fills the arrays in `reset_envs` and `step_envs`.
+    """What all families share. A family fills the arrays in `reset_envs` and `step_envs`.
 
-    name, num_envs, n_agents, n_actions, obs_size, state_size, episode_limit: what the task is made of.
-    seed: the seed now in use. episode: the number of episodes begun, all that a checkpoint must keep.
+    name, num_envs, n_agents, n_actions, obs_size, state_size, episode_limit: the task and its sizes.
+    seed: the seed in use. episode: the number of episodes begun so far, which is all that a checkpoint must keep.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 (typed like this by Gymnasium)
@@ -65,9 +78,9 @@ class VectorEnv(GymnasiumVectorEnv):
         statistics: Sequence[str] = (),
         teams: Sequence[int] | None = None,
     ) -> None:
-        """low, high: the bounds of an observation's values. state_size: None where the state is the observations.
+        """low, high: the bounds of an observation's values. state_size: None if the state consists of the observations.
 
-        statistics: names of what `self.statistics` reports of each episode. teams: None where all agents are one team.
+        statistics: the names of the entries of `self.statistics`. teams: None if all agents belong to one team.
         """
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
@@ -100,7 +113,7 @@ class VectorEnv(GymnasiumVectorEnv):
         self._set_seed(seed)
 
     def _connect(self) -> None:
-        """Build what refers to the arrays: the state where it is a view, and the results of `reset` and `step`."""
+        """Build what refers to the arrays: the state, if it is a view, and the results of `reset` and `step`."""
         if self.state_is_observations:
             self.state = self.observations.reshape(self.num_envs, -1)
         self.info: Info = {
@@ -113,7 +126,7 @@ class VectorEnv(GymnasiumVectorEnv):
         self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
 
     def __setstate__(self, attributes: dict[str, Any]) -> None:
-        """A copy (copy.deepcopy, pickle) has arrays of its own, but a view of an array comes as a second array."""
+        """Build the views again: copy.deepcopy and pickle turn a view of an array into a separate array."""
         self.__dict__.update(attributes)
         self._connect()
 
@@ -122,9 +135,9 @@ class VectorEnv(GymnasiumVectorEnv):
         raise NotImplementedError
 
     def step_envs(self, actions: NDArray[np.int64]) -> int:
-        """Step each sub-environment that has not finished, unless an action is forbidden.
+        """Step each sub-environment that has not finished. If any action is forbidden, do nothing.
 
-        Returns the index (sub-environment times agents plus agent) of the first forbidden action, or -1.
+        Returns the index (sub-environment times n_agents plus agent) of the first forbidden action, or -1.
         """
         raise NotImplementedError
 
@@ -134,7 +147,10 @@ class VectorEnv(GymnasiumVectorEnv):
 
     @property
     def episode(self) -> int:
-        """Episodes begun; where masked resets made the sub-environments differ, the largest, so nothing is replayed."""
+        """The number of episodes begun: the largest of the sub-environments, which masked resets can make different.
+
+        It is the largest so that no sub-environment plays an episode a second time.
+        """
         return int(self._episodes.max())
 
     @episode.setter
@@ -152,7 +168,7 @@ class VectorEnv(GymnasiumVectorEnv):
     ) -> tuple[NDArray[np.float32], Info]:
         """Begin an episode in all sub-environments, or in those of options["reset_mask"].
 
-        A full reset begins the same episode, number `env.episode`, everywhere. A seed starts again at its episode 0.
+        A reset of all begins the same episode, number `env.episode`, in each of them. With a seed this is number 0.
         """
         mask = options.get("reset_mask") if options else None
         if mask is None:
@@ -181,8 +197,8 @@ class VectorEnv(GymnasiumVectorEnv):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Let every agent act: actions are integers [num_envs, n_agents].
 
-        Raises ValueError for actions of another shape or kind, out of range or forbidden (nothing has happened then),
-        gymnasium.error.ResetNeeded where a sub-environment has never been reset.
+        Raises ValueError for actions of a wrong shape or type, out of range, or forbidden; then nothing has happened.
+        Raises gymnasium.error.ResetNeeded if a sub-environment has never been reset.
         """
         if not self._ready:
             raise ResetNeeded(f"{self.name}: call reset() for every sub-environment before step().")
@@ -215,7 +231,7 @@ class VectorEnv(GymnasiumVectorEnv):
         return observations, self.rewards.copy(), self.terminated.copy(), self.truncated.copy(), info
 
     def _as_actions(self, actions: Any) -> NDArray[np.int64]:
-        """Actions of any integer kind, lists too, as the array that the compiled rules take."""
+        """Actions of any integer type, lists included, as the array that the compiled rules take."""
         array = np.asarray(actions)
         if array.shape != self._shape:
             raise ValueError(

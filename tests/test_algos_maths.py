@@ -5,9 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from scripts import NAMES, ON_POLICY, VALUE_BASED, envs, script, trained
+from scripts import NAMES, ON_POLICY, envs, script, trained
 
 GAMMA = 0.5
+
+
+def shared(name):
+    """A function or class, from the first script that has it. Its text is the same in the others (test_algos_text)."""
+    return next(getattr(script(each), name) for each in NAMES if hasattr(script(each), name))
 
 
 def column(values, dtype=torch.float32):
@@ -20,45 +25,44 @@ def flags(values):
     return torch.tensor(values, dtype=torch.bool).reshape(-1, 1)
 
 
-@pytest.mark.parametrize("name", ON_POLICY)
 class TestReturns:
     """n_step_returns; rewards 1, 2, 4, 8 and values 10, 20, 30, 40, 50, discount one half."""
 
     rewards, values = column([1.0, 2.0, 4.0, 8.0]), column([10.0, 20.0, 30.0, 40.0, 50.0])
 
-    def returns(self, name, played, terminated, n):
-        result = script(name).n_step_returns(self.rewards, self.values, flags(played), flags(terminated), GAMMA, n)
+    def returns(self, played, terminated, n):
+        result = shared("n_step_returns")(self.rewards, self.values, flags(played), flags(terminated), GAMMA, n)
         return result.flatten().tolist()
 
-    def test_time_out_bootstraps_from_the_state_after_the_last_step(self, name):
+    def test_time_out_bootstraps_from_the_state_after_the_last_step(self):
         # t = 3: 8 + 50 / 2; t = 2: 4 + 8 / 2 + 50 / 4; t = 1: 2 + 4 / 2 + 40 / 4
         expected = [1 + 1 + 30 / 4, 2 + 2 + 40 / 4, 4 + 4 + 50 / 4, 8 + 25]
-        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 2) == expected
+        assert self.returns([1, 1, 1, 1], [0, 0, 0, 0], 2) == expected
 
-    def test_terminal_adds_nothing(self, name):
+    def test_terminal_adds_nothing(self):
         expected = [1 + 1 + 30 / 4, 2 + 2 + 40 / 4, 4 + 4, 8]
-        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 1], 2) == expected
+        assert self.returns([1, 1, 1, 1], [0, 0, 0, 1], 2) == expected
 
-    def test_n_beyond_the_episode_is_the_whole_return(self, name):
-        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 1], 9) == [1 + 1 + 1 + 1, 2 + 2 + 2, 4 + 4, 8]
-        whole = self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 9)
+    def test_n_beyond_the_episode_is_the_whole_return(self):
+        assert self.returns([1, 1, 1, 1], [0, 0, 0, 1], 9) == [1 + 1 + 1 + 1, 2 + 2 + 2, 4 + 4, 8]
+        whole = self.returns([1, 1, 1, 1], [0, 0, 0, 0], 9)
         assert whole == [4 + 50 / 16, 6 + 50 / 8, 8 + 50 / 4, 8 + 25]
 
-    def test_one_step(self, name):
-        assert self.returns(name, [1, 1, 1, 1], [0, 0, 0, 0], 1) == [1 + 10, 2 + 15, 4 + 20, 8 + 25]
+    def test_one_step(self):
+        assert self.returns([1, 1, 1, 1], [0, 0, 0, 0], 1) == [1 + 10, 2 + 15, 4 + 20, 8 + 25]
 
-    def test_padding_is_never_read(self, name):
-        """Two steps were played. What stands behind the state after them must not matter, time-out or terminal."""
+    def test_padding_is_never_read(self):
+        """Two steps were played. What follows the state after them does not matter, after a time-out or a real end."""
         for terminated, expected in (([0, 0, 0, 0], [1 + 1 + 30 / 4, 2 + 15]), ([0, 1, 1, 1], [1 + 1, 2])):
-            assert self.returns(name, [1, 1, 0, 0], terminated, 3)[:2] == expected
+            assert self.returns([1, 1, 0, 0], terminated, 3)[:2] == expected
             garbage_rewards, garbage_values = self.rewards.clone(), self.values.clone()
             garbage_rewards[2:], garbage_values[3:] = 1e9, -1e9
-            again = script(name).n_step_returns(
+            again = shared("n_step_returns")(
                 garbage_rewards, garbage_values, flags([1, 1, 0, 0]), flags(terminated), GAMMA, 3
             )
             assert again.flatten().tolist()[:2] == expected
 
-    def test_against_the_definition(self, name):
+    def test_against_the_definition(self):
         """Random episodes of many lengths and ends, agents with rewards of their own, by a loop over the definition."""
         generator = torch.Generator().manual_seed(0)
         steps, n_envs, n_agents, gamma = 12, 40, 2, 0.9
@@ -70,7 +74,7 @@ class TestReturns:
         played = time < lengths
         terminated = (time >= lengths - 1) & real_end
         for n in (1, 3, 5, 20):
-            returns = script(name).n_step_returns(rewards, values, played, terminated, gamma, n)
+            returns = shared("n_step_returns")(rewards, values, played, terminated, gamma, n)
             for env in range(n_envs):
                 length = int(lengths[env])
                 for t in range(length):
@@ -81,28 +85,27 @@ class TestReturns:
                     torch.testing.assert_close(returns[t, env], expected)
 
 
-@pytest.mark.parametrize("name", NAMES)
 class TestStandardiser:
-    def test_batch_takes_played_steps_only(self, name):
+    def test_batch_takes_played_steps_only(self):
         rewards = column([1.0, 3.0, 100.0])
-        result = script(name).RewardStandardiser("batch")(rewards, flags([1, 1, 0])).flatten()
+        result = shared("RewardStandardiser")("batch")(rewards, flags([1, 1, 0])).flatten()
         deviation = math.sqrt(2.0)  # of 1 and 3, unbiased
         expected = [-1 / (deviation + 1e-5), 1 / (deviation + 1e-5)]
         assert result[:2].tolist() == pytest.approx(expected, rel=1e-6)
 
-    def test_none_changes_nothing(self, name):
+    def test_none_changes_nothing(self):
         rewards = column([1.0, 3.0])
-        assert script(name).RewardStandardiser("none")(rewards, flags([1, 1])) is rewards
+        assert shared("RewardStandardiser")("none")(rewards, flags([1, 1])) is rewards
 
     @pytest.mark.parametrize("method", ["batch", "running"])
-    def test_constant_rewards_and_single_steps_become_zeros(self, name, method):
+    def test_constant_rewards_and_single_steps_become_zeros(self, method):
         for values in ([0.1] * 7, [0.3]):
-            result = script(name).RewardStandardiser(method)(column(values), flags([1] * len(values)))
+            result = shared("RewardStandardiser")(method)(column(values), flags([1] * len(values)))
             assert (result == 0).all()
 
-    def test_running_is_the_statistics_of_all_batches_together(self, name):
+    def test_running_is_the_statistics_of_all_batches_together(self):
         generator = torch.Generator().manual_seed(1)
-        standardiser, seen = script(name).RewardStandardiser("running"), []
+        standardiser, seen = shared("RewardStandardiser")("running"), []
         for _ in range(5):
             rewards = torch.randn(4, 3, 2, generator=generator) * 3 + 7  # rewards of two agents: pooled
             played = torch.rand(4, 3, generator=generator) < 0.7
@@ -112,19 +115,17 @@ class TestStandardiser:
             torch.testing.assert_close(result, expected.float())
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_played_mean(name):
+def test_played_mean():
     x = torch.tensor([[[1.0, 3.0], [100.0, 100.0]], [[5.0, 7.0], [9.0, 11.0]]])  # [time 2, env 2, agent 2]
     played = torch.tensor([[True, False], [True, True]])
-    assert float(script(name).played_mean(x, played)) == (1 + 3 + 5 + 7 + 9 + 11) / 6
+    assert float(shared("played_mean")(x, played)) == (1 + 3 + 5 + 7 + 9 + 11) / 6
 
 
 class TestPolicies:
-    @pytest.mark.parametrize("name", ON_POLICY)
-    def test_masked_actions_have_no_probability_and_no_gradient(self, name):
+    def test_masked_actions_have_no_probability_and_no_gradient(self):
         logits = torch.tensor([[1.0, 2.0, 3.0]], requires_grad=True)
         masks = torch.tensor([[True, False, True]])
-        log_probs = script(name).log_probabilities(logits, masks)
+        log_probs = shared("log_probabilities")(logits, masks)
         expected = torch.tensor([1.0, 3.0]).log_softmax(-1)
         torch.testing.assert_close(log_probs[0, [0, 2]], expected)
         assert log_probs.exp()[0, 1] == 0
@@ -133,11 +134,10 @@ class TestPolicies:
         entropy.backward()
         assert logits.grad is not None and torch.isfinite(logits.grad).all() and logits.grad[0, 1] == 0
 
-    @pytest.mark.parametrize("name", [*ON_POLICY, "maddpg"])
-    def test_samples_follow_the_softmax_and_the_mask(self, name):
+    def test_samples_follow_the_softmax_and_the_mask(self):
         logits = torch.tensor([0.0, 1.0, 5.0, 2.0]).expand(40_000, 4)
         masks = torch.tensor([True, True, False, True]).expand(40_000, 4)
-        actions = script(name).sample_actions(logits, masks, torch.Generator().manual_seed(0))
+        actions = shared("sample_actions")(logits, masks, torch.Generator().manual_seed(0))
         frequencies = torch.bincount(actions, minlength=4) / len(actions)
         expected = torch.tensor([0.0, 1.0, -torch.inf, 2.0]).softmax(-1)
         assert frequencies[2] == 0
@@ -145,15 +145,15 @@ class TestPolicies:
         torch.testing.assert_close(frequencies, expected, atol=5 * 0.5 / 200, rtol=0)
 
 
-@pytest.mark.parametrize("name", NAMES)
 class TestNetworks:
-    def args(self, name, **changed):
-        args = script(name).Args(hidden_dim=8)
-        vars(args).update(changed)
-        return args
+    def networks(self, parameter_sharing=True, core="fc"):
+        """Of three agents, with four inputs and two outputs."""
+        module = script(NAMES[0])
+        args = module.Args(hidden_dim=8, parameter_sharing=parameter_sharing)
+        return module.AgentNetworks(args, 3, 4, 2, core)
 
-    def test_shared_network_sees_the_agents_id(self, name):
-        networks = script(name).AgentNetworks(self.args(name), 3, 4, 2)
+    def test_shared_network_sees_the_agents_id(self):
+        networks = self.networks()
         x = torch.randn(5, 6, 3, 4)
         outputs, _ = networks(x)
         assert len(networks.networks) == 1 and outputs.shape == (5, 6, 3, 2)
@@ -163,8 +163,8 @@ class TestNetworks:
             alone = last(core(first(torch.cat([x[:, :, agent], own_id], -1)).relu()).relu())
             torch.testing.assert_close(outputs[:, :, agent], alone)
 
-    def test_without_sharing_each_agent_has_its_own_network(self, name):
-        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=False), 3, 4, 2)
+    def test_without_sharing_each_agent_has_its_own_network(self):
+        networks = self.networks(parameter_sharing=False)
         x = torch.randn(5, 6, 3, 4)
         outputs, _ = networks(x)
         assert len(networks.networks) == 3 and outputs.shape == (5, 6, 3, 2)
@@ -172,14 +172,14 @@ class TestNetworks:
             torch.testing.assert_close(outputs[:, :, [agent]], networks.networks[agent](x[:, :, [agent]])[0])
 
     @pytest.mark.parametrize("sharing", [True, False])
-    def test_what_all_agents_see_alike_is_given_once(self, name, sharing):
-        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=sharing), 3, 4, 2)
+    def test_what_all_agents_see_alike_is_given_once(self, sharing):
+        networks = self.networks(sharing)
         x = torch.randn(5, 6, 1, 4)
         torch.testing.assert_close(networks(x)[0], networks(x.repeat(1, 1, 3, 1))[0])
 
     @pytest.mark.parametrize("sharing", [True, False])
-    def test_recurrent_sequence_equals_its_steps(self, name, sharing):
-        networks = script(name).AgentNetworks(self.args(name, parameter_sharing=sharing), 3, 4, 2, "gru")
+    def test_recurrent_sequence_equals_its_steps(self, sharing):
+        networks = self.networks(sharing, "gru")
         x = torch.randn(5, 6, 3, 4)
         together, _ = networks(x)
         hidden = None
@@ -187,34 +187,32 @@ class TestNetworks:
             step, hidden = networks(x[t : t + 1], hidden)
             torch.testing.assert_close(step[0], together[t])
 
-    def test_target_updates(self, name):
+    def test_target_updates(self):
+        update_target = shared("update_target")
         online, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
         before = target.weight.clone()
-        script(name).update_target(target, online, "soft", 7)
+        update_target(target, online, "soft", 7)
         torch.testing.assert_close(target.weight, 0.99 * before + 0.01 * online.weight)
         moved = target.weight.clone()
-        script(name).update_target(target, online, "hard", 199)
+        update_target(target, online, "hard", 199)
         assert torch.equal(target.weight, moved)
-        script(name).update_target(target, online, "hard", 200)
+        update_target(target, online, "hard", 200)
         assert torch.equal(target.weight, online.weight) and torch.equal(target.bias, online.bias)
 
-    def test_gradient_norm_is_clipped_over_all_parameters(self, name):
-        if name in VALUE_BASED:
-            pytest.skip("has one optimiser and steps it in `update`")
+    def test_gradient_norm_is_clipped_over_all_parameters(self):
         a, b = torch.nn.Parameter(torch.zeros(1)), torch.nn.Parameter(torch.zeros(1))
         optimiser = torch.optim.SGD([a, b], lr=1.0)
-        script(name).gradient_step(30 * a.sum() + 40 * b.sum(), optimiser, 10.0)  # gradient (30, 40), norm 50
+        shared("gradient_step")(30 * a.sum() + 40 * b.sum(), optimiser, 10.0)  # gradient (30, 40), norm 50
         assert a.item() == pytest.approx(-6, rel=1e-5) and b.item() == pytest.approx(-8, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ON_POLICY)
 class TestCollect:
     """The batch against a second environment that plays the same actions, one step at a time."""
 
     @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
     @pytest.mark.parametrize("individual", [False, True])
-    def test_batch_is_what_was_played(self, name, time_limit, individual):
-        module, task = script(name), "lbf-5x5-2p-1f"
+    def test_batch_is_what_was_played(self, time_limit, individual):
+        module, task = script(ON_POLICY[0]), "lbf-5x5-2p-1f"
         args = module.Args(env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
@@ -260,7 +258,7 @@ def test_every_parameter_learns(monkeypatch, name, sharing, network, individual)
 
 @pytest.mark.parametrize("name", [name for name in ON_POLICY if "ppo" in name])
 def test_loss_of_the_second_epoch_is_clipped(name):
-    """By the cases of the PPO paper: a ratio above 1.2 does not help a good action, one below 0.8 not a bad one."""
+    """As in the PPO paper, a good action gains nothing from a ratio above 1.2, a bad one nothing from one below 0.8."""
     module = script(name)
 
     def learn(update_epochs):
@@ -333,7 +331,7 @@ class TestComa:
             assert inputs[0, 0, agent].tolist() == [7, 8, *(x for other in others for x in other)]
 
     def test_advantage_by_brute_force_over_the_actions(self):
-        """A joint-action value table of two agents: the baseline sums over the own actions, the other's fixed."""
+        """Two agents with a table of joint values: the baseline varies the agent's own action, not the other's."""
         generator = torch.Generator().manual_seed(0)
         n_actions = 3
         table = torch.randn(n_actions, n_actions, generator=generator)  # value of the joint action

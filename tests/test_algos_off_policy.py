@@ -1,4 +1,7 @@
-"""The off-policy scripts: values, losses, exploration and replay, against hand-made cases and slow, obvious loops."""
+"""The off-policy scripts: values, losses, exploration and replay, against hand-made cases and slow, obvious loops.
+
+What has the same text in several scripts, as test_algos_text.py demands of it, is tested in the first of them.
+"""
 
 import os
 from copy import deepcopy
@@ -130,7 +133,8 @@ def slow_maddpg_losses(args, parts, batch, noise):
                 critic_errors.append((goal - judged(parts["critic"], i, batch.states[t, e], taken)) ** 2)
                 actions = [drawn[j] if j == i else drawn[j].detach() for j in range(N_AGENTS)]
                 gain = judged(parts["critic"], i, batch.states[t, e], actions)
-                actor_terms.append(args.actor_regularisation * logits[t][i][masks[i]].square().mean() - gain)
+                squares = sum(logits[t][i][a] ** 2 for a in range(N_ACTIONS) if masks[i][a])  # 0 where masked
+                actor_terms.append(args.actor_regularisation * squares / N_ACTIONS - gain)
     return {"critic": torch.stack(critic_errors).mean(), "actor": torch.stack(actor_terms).mean()}
 
 
@@ -203,7 +207,7 @@ def test_updates_in_a_row(name):
 @pytest.mark.parametrize("network", ["fc", "gru"])
 @pytest.mark.parametrize("standardisation", ["none", "batch"])
 def test_what_was_not_played_is_never_learnt_from(name, network, standardisation):
-    """Rows behind an end are empty, or what an older episode left there: no action available, or all of them."""
+    """Rows after an end are empty or hold what an older episode left there, with no action available or with all."""
     module = script(name)
     args = make_args(module, network=network, reward_standardisation=standardisation, time_limit="bootstrap")
     torch.manual_seed(0)
@@ -220,7 +224,7 @@ def test_what_was_not_played_is_never_learnt_from(name, network, standardisation
 
 @pytest.mark.parametrize("name", OFF_POLICY)
 def test_gradients_are_clipped_together(name):
-    """Agents and mixer as one, actor and critic apart; the norm is exactly what is allowed where it was more."""
+    """Agents and mixer together, actor and critic each alone; a larger norm becomes exactly the largest allowed."""
     module = script(name)
     args = make_args(module)
     torch.manual_seed(0)
@@ -236,7 +240,7 @@ def test_gradients_are_clipped_together(name):
 @pytest.mark.parametrize("name", OFF_POLICY)
 @pytest.mark.parametrize("method", ["hard", "soft"])
 def test_targets_follow(name, method):
-    """All of them: a copy at update 200, not at 199; or one hundredth of the way, each time."""
+    """All targets are copied at update 200 and not at 199, or move by one hundredth of the way at each update."""
     module = script(name)
     args = make_args(module, target_update=method)
     torch.manual_seed(0)
@@ -251,22 +255,22 @@ def test_targets_follow(name, method):
                 torch.testing.assert_close(x, (1 - share) * then + share * new)
 
 
-@pytest.mark.parametrize("name", VALUE_BASED)
 class TestDoubleQ:
-    def test_online_chooses_and_target_values(self, name):
+    def test_online_chooses_and_target_values(self):
         online = torch.tensor([[1.0, 9.0, 3.0], [7.0, 2.0, -4.0]])
         target = torch.tensor([[10.0, 20.0, 30.0], [-40.0, 50.0, 60.0]])
-        values = script(name).double_q_values(online, target, torch.ones(2, 3, dtype=torch.bool))
+        values = script(VALUE_BASED[0]).double_q_values(online, target, torch.ones(2, 3, dtype=torch.bool))
         assert values.tolist() == [20.0, -40.0]
 
-    def test_masked_actions_are_never_chosen(self, name):
+    def test_masked_actions_are_never_chosen(self):
         online = torch.tensor([[-1.0, 9.0, -3.0], [7.0, -2e9, -3e9]])
         target = torch.tensor([[10.0, 20.0, 30.0], [40.0, 50.0, 60.0]])
         masks = torch.tensor([[True, False, True], [False, True, True]])
-        assert script(name).double_q_values(online, target, masks).tolist() == [10.0, 50.0]
+        assert script(VALUE_BASED[0]).double_q_values(online, target, masks).tolist() == [10.0, 50.0]
 
-    def test_rows_without_an_action_are_finite(self, name):
-        values = script(name).double_q_values(torch.randn(4, 3), torch.randn(4, 3), torch.zeros(4, 3, dtype=torch.bool))
+    def test_rows_without_an_action_are_finite(self):
+        masks = torch.zeros(4, 3, dtype=torch.bool)
+        values = script(VALUE_BASED[0]).double_q_values(torch.randn(4, 3), torch.randn(4, 3), masks)
         assert values.shape == (4,) and torch.isfinite(values).all()
 
 
@@ -309,19 +313,18 @@ class TestMixer:
 
 
 # --- exploration ---
-@pytest.mark.parametrize("name", VALUE_BASED)
 class TestEpsilon:
-    def team(self, name, epsilon):
-        module = script(name)
+    def team(self, epsilon):
+        module = script(VALUE_BASED[0])
         args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
         agents = module.AgentNetworks(args, 2, OBS_SIZE, N_ACTIONS)
         return module.Team(args, agents, torch.Generator().manual_seed(0))
 
-    def test_frequencies(self, name):
+    def test_frequencies(self):
         """Of all pairs of actions, in many copies of one situation where the best action of all is not available."""
         n, epsilon = 40_000, 0.4
-        team = self.team(name, epsilon)
+        team = self.team(epsilon)
         observation = np.random.default_rng(0).normal(size=(1, 2, OBS_SIZE)).astype(np.float32)
         values = team.agents(torch.from_numpy(observation)[None])[0][0, 0].detach()
         masks = np.ones((2, N_ACTIONS), bool)
@@ -337,8 +340,8 @@ class TestEpsilon:
         # five standard errors
         assert (np.abs(frequencies - expected.ravel()) <= 5 * np.sqrt(expected * (1 - expected) / n).ravel()).all()
 
-    def test_without_epsilon_the_best_available_action(self, name):
-        team, rng = self.team(name, 0.0), np.random.default_rng(0)
+    def test_without_epsilon_the_best_available_action(self):
+        team, rng = self.team(0.0), np.random.default_rng(0)
         observations = rng.normal(size=(200, 2, OBS_SIZE)).astype(np.float32)
         masks = rng.random((200, 2, N_ACTIONS)) < 0.5
         masks[..., 2] |= ~masks.any(-1)
@@ -347,6 +350,7 @@ class TestEpsilon:
         for e, i in np.ndindex(200, 2):
             assert actions[e, i] == best(values[e, i], masks[e, i])
 
+    @pytest.mark.parametrize("name", VALUE_BASED)
     def test_schedule(self, monkeypatch, name):
         """From 1 to 0.05 in 100 steps, four episodes of a matrix game; in evaluations the evaluations' own."""
         module, seen = script(name), []
@@ -402,13 +406,12 @@ class Game:
         return observations, np.array([self.episode], np.float32), *flags, info
 
 
-@pytest.mark.parametrize("name", OFF_POLICY)
 class TestReplay:
     """Replays of five episodes in nine slots, so that a slot sees episodes of all lengths."""
 
-    def begin(self, name, path, episode=0, state_is_observations=False, episode_limit=6, **flags):
+    def begin(self, path, episode=0, state_is_observations=False, episode_limit=6, **flags):
         """A replay, its game and a function that plays some episodes into it."""
-        module = script(name)
+        module = script(OFF_POLICY[0])
         args = module.Args(**{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
@@ -423,9 +426,9 @@ class TestReplay:
         return replay, game, play
 
     @pytest.mark.parametrize("episodes", [3, 5, 20])
-    def test_the_last_episodes_are_drawn_equally_often(self, name, episodes, tmp_path):
+    def test_the_last_episodes_are_drawn_equally_often(self, episodes, tmp_path):
         """A batch never holds an episode twice, and is as long as its longest."""
-        replay, _, play = self.begin(name, tmp_path)
+        replay, _, play = self.begin(tmp_path)
         play(episodes)
         rng, draws = torch.Generator().manual_seed(0), 500
         counts = np.zeros(episodes + 1)
@@ -442,9 +445,9 @@ class TestReplay:
 
     @pytest.mark.parametrize("state_is_observations, time_limit", [(False, "bootstrap"), (True, "terminal")])
     @pytest.mark.parametrize("individual", [False, True])
-    def test_a_batch_holds_what_was_played(self, name, state_is_observations, time_limit, individual, tmp_path):
+    def test_a_batch_holds_what_was_played(self, state_is_observations, time_limit, individual, tmp_path):
         flags = {"state_is_observations": state_is_observations, "time_limit": time_limit}
-        replay, game, play = self.begin(name, tmp_path, individual_rewards=individual, batch_size=5, **flags)
+        replay, game, play = self.begin(tmp_path, individual_rewards=individual, batch_size=5, **flags)
         assert ("states" in replay.slots.dtype.names) == (not state_is_observations)
         rng = torch.Generator().manual_seed(0)
         play(4)
@@ -462,7 +465,7 @@ class TestReplay:
                 ends = REAL_ENDS[k % len(LENGTHS)] or time_limit == "terminal"
                 assert batch.terminated[:length, e].tolist() == [False] * (length - 1) + [ends]
 
-    def test_number_of_episodes(self, name, tmp_path):
+    def test_number_of_episodes(self, tmp_path):
         for limit, buffer_size, batch_size, size in (
             (50, 5000, 32, 5000),
             (500, 5000, 32, 2000),
@@ -472,44 +475,44 @@ class TestReplay:
             (500, 3000, 2500, 2500),
         ):
             flags = {"episode_limit": limit, "buffer_size": buffer_size, "batch_size": batch_size}
-            assert self.begin(name, tmp_path, **flags)[0].size == size
+            assert self.begin(tmp_path, **flags)[0].size == size
 
-    def test_a_checkpoint_finds_its_episodes_again(self, name, tmp_path):
+    def test_a_checkpoint_finds_its_episodes_again(self, tmp_path):
         """Up to two checkpoints later, a replay opened where the checkpoint was made draws what it would have drawn."""
-        replay, game, play = self.begin(name, tmp_path, batch_size=5)
+        replay, game, play = self.begin(tmp_path, batch_size=5)
         play(13)
         assert replay.state_dict() == {}
         expected = replay.sample(torch.Generator().manual_seed(0))
         for later in range(2 * replay.spare + 1):
-            again, _, _ = self.begin(name, tmp_path, batch_size=5, episode=13)
+            again, _, _ = self.begin(tmp_path, batch_size=5, episode=13)
             batch = again.sample(torch.Generator().manual_seed(0))
             for array, rows in vars(expected).items():
                 assert torch.equal(vars(batch)[array], rows), (later, array)
             play(1)
         assert game.episode == 13 + 2 * replay.spare + 1
 
-    def test_a_run_from_the_start_keeps_nothing(self, name, tmp_path):
-        replay, _, play = self.begin(name, tmp_path)
+    def test_a_run_from_the_start_keeps_nothing(self, tmp_path):
+        replay, _, play = self.begin(tmp_path)
         play(9)
         assert replay.slots["played"].any(1).all()
-        again, _, _ = self.begin(name, tmp_path)
+        again, _, _ = self.begin(tmp_path)
         assert not again.slots["played"].any()
 
     @pytest.mark.parametrize("missing", ["memory", "disk"])
-    def test_a_machine_without_room_is_refused(self, monkeypatch, name, missing, tmp_path):
+    def test_a_machine_without_room_is_refused(self, monkeypatch, missing, tmp_path):
         """One byte less than the file takes is too little, and nothing is written then."""
-        self.begin(name, tmp_path)
+        self.begin(tmp_path)
         path = tmp_path / "replay.bin"
         size = path.stat().st_size
         free = {"memory": size, "disk": size}
         monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free["memory"]))
         monkeypatch.setattr(psutil, "disk_usage", lambda path: SimpleNamespace(free=free["disk"]))
         path.unlink()
-        self.begin(name, tmp_path)
+        self.begin(tmp_path)
         path.unlink()
         free[missing] -= 1
         with pytest.raises(envs.InputError, match=f"replay.bin would take .* MiB, more than the free {missing}"):
-            self.begin(name, tmp_path)
+            self.begin(tmp_path)
         assert not path.exists()
 
 
@@ -670,8 +673,8 @@ class TestMaddpg:
             p = 1 / (1 + np.exp(second - first))  # of the first of two actions
             expected_loss -= 1.0 if first > second else -2.0
             expected[0] -= torch.tensor([p * (1 - p) * 3, -p * (1 - p) * 3, 0.0])  # 3: what the first pays more
-            expected_loss += 0.1 * (0.25 + 1.0) / 2
-            expected[0] += 0.1 * torch.tensor([2 * 0.5, 2 * -1.0, 0.0]) / 2
+            expected_loss += 0.1 * (0.25 + 1.0 + 0.0) / 3  # of all three actions; the masked logit counts as zero
+            expected[0] += 0.1 * torch.tensor([2 * 0.5, 2 * -1.0, 0.0]) / 3
         assert loss == pytest.approx(expected_loss / (4 * 2), rel=1e-5)  # the mean over steps and agents
         torch.testing.assert_close(gradient, expected / (4 * 2))
 

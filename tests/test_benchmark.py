@@ -124,8 +124,6 @@ def test_a_run_that_lacks_its_settings_does_not_stop_the_others(collect, monkeyp
         ("report.py nothing", "no results of nothing"),
         ("stepping.py --tasks nothing", "unknown task 'nothing'"),
         ("stepping.py --num-envs 0", "must be positive"),
-        ("training.py --env nothing", "unknown task 'nothing'"),
-        ("training.py --algos nothing", "invalid choice: 'nothing'"),
     ],
 )
 def test_wrong_input_is_named(command, said):
@@ -134,13 +132,30 @@ def test_wrong_input_is_named(command, said):
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
 
 
+def run_training(monkeypatch, *flags):
+    """benchmark/training.py in this process: a process of its own would spend seconds on importing torch."""
+    monkeypatch.setattr(sys, "argv", ["training.py", *flags])
+    load_module(ROOT / "benchmark" / "training.py").main()
+
+
 @pytest.mark.parametrize(
-    "flags", [["--algos", "mappo", "coma", "qmix", "maddpg"], ["--algos", "iql", "--", "--no-parameter-sharing"]]
+    "flags, said",
+    [(["--env", "nothing"], "unknown task 'nothing'"), (["--algos", "nothing"], "invalid choice: 'nothing'")],
 )
-def test_training_speed(flags):
-    command = [sys.executable, "benchmark/training.py", "--env", "matrix-climbing", "--seconds", "1", *flags]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert done.stdout.count("reference passes") == len(flags[1:2] if "--" in flags else flags[1:]), done.stderr
+def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
+    with pytest.raises(SystemExit, match="2"):
+        run_training(monkeypatch, *flags)
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "algorithms, flags", [(["mappo", "coma", "qmix", "maddpg"], []), (["iql"], ["--", "--no-parameter-sharing"])]
+)
+def test_training_speed(monkeypatch, capsys, algorithms, flags):
+    run_training(monkeypatch, "--env", "matrix-climbing", "--seconds", "0.1", "--algos", *algorithms, *flags)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == algorithms
+    assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)
 
 
 def test_report_computes_as_the_paper_does(monkeypatch, tmp_path, capsys):

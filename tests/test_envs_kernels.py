@@ -62,7 +62,7 @@ def test_the_first_forbidden_action_is_found() -> None:
 
 
 def run(code: str, folder: Path, **environment: str) -> str:
-    """What a fresh process prints that imports the package from that folder."""
+    """What a fresh process prints that runs the code and imports the package from that folder."""
     inherited = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
     command = [sys.executable, "-W", "error", "-c", code]
     done = subprocess.run(
@@ -84,7 +84,7 @@ except ValueError as error:
 
 
 def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
-    """Also where the file of the compiled loop that calls it stays the same."""
+    """Even if the file of the compiled loop that calls the rule stays the same."""
     shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path / "cache")}
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
@@ -107,7 +107,7 @@ def test_the_users_own_cache_folder_is_respected(tmp_path: Path) -> None:
     assert not (tmp_path / "cache" / "marl-baselines").exists() or not list((tmp_path / "cache").rglob("*.nbc"))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="a folder that nobody can write, not even root")
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a folder that not even root can write")
 def test_a_home_that_cannot_be_written() -> None:
     assert run(STEP, PACKAGE.parent, XDG_CACHE_HOME="/proc/none", HOME="/proc/none") == "reward 7.0\n"
 

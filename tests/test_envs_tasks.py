@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import envs
-from envs.tasks import room_for_foods
+from envs import tasks
+from envs.tasks import names_here, room_for_foods
 
 PAPER = {"matrix": ("matrix", 2_500_000, 250_000, 101), "lbf": ("lbf", 20_000_000, 2_000_000, 41)}
 
@@ -69,10 +71,10 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
         ("lbf-8x8-2p-0f", "at least one agent and one food"),
         ("lbf-2x8-1p-1f", "at least 3 rows and 3 columns"),
         ("lbf-8x2-1p-1f-v3", "at least 3 rows and 3 columns"),
-        ("lbf-3x3-1p-1f", "may leave no cell off the border free"),
-        ("lbf-4x4-4p-1f", "may leave no cell off the border free"),
-        ("lbf-5x5-2p-3f", "a 5x5 board is played with up to 2, not 3"),
-        ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with up to 2, not 4"),
+        ("lbf-3x3-1p-1f", "may leave no cell inside the border free"),
+        ("lbf-4x4-4p-1f", "may leave no cell inside the border free"),
+        ("lbf-5x5-2p-3f", "a 5x5 board is played with at most 2 of them, not 3"),
+        ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with at most 2 of them, not 4"),
         ("lbf-99999999x8-2p-2f", r"longer than 2\^24"),
         ("matrix-penalty-99999999", r"larger than 2\^24"),
     ],
@@ -88,7 +90,7 @@ def test_impossible_sizes(name: str, why: str) -> None:
     ("rows", "columns", "room"), [(3, 3, 1), (3, 9, 3), (4, 4, 1), (5, 5, 2), (6, 6, 4), (8, 8, 8)]
 )
 def test_room_for_foods(rows: int, columns: int, room: int) -> None:
-    """Most that fit, found by trying all arrangements row by row (by hand for the smallest)."""
+    """The most that fit, found by trying all arrangements row by row (by hand for the smallest boards)."""
     assert room_for_foods(rows, columns, 99) == room_for_foods(columns, rows, 99) == room
     assert room_for_foods(rows, columns, 1) == 1
 
@@ -104,7 +106,6 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("matrix-penalty--25", "matrix-penalty-25"),
         ("matrix-penalty-025", "matrix-penalty-25"),
         ("LBF-15X15-3P-5F", "lbf-15x15-3p-5f"),
-        ("", "matrix-"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
@@ -112,7 +113,81 @@ def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
     with pytest.raises(envs.InputError, match="unknown task") as error:
         envs.make(name)
     assert nearest in str(error.value) and "\n" not in str(error.value)
+    assert "`python -m envs` lists the tasks" in str(error.value)
     assert isinstance(error.value, ValueError)
+
+
+@pytest.mark.parametrize("name", ["", "hello", "lbf", "rware", "matrix", "8x8", "\ud800"])
+def test_unknown_names_far_from_all_offer_none(name: str) -> None:
+    with pytest.raises(envs.InputError) as error:
+        envs.task(name)
+    assert str(error.value) == f"unknown task {name!r}. `python -m envs` lists the tasks."
+
+
+@pytest.mark.parametrize("name", ["a" * 100_000, "matrix-penalty-" + "9" * 100_000, "rware-tiny-" + "1" * 300 + "ag"])
+def test_long_names_are_cut(name: str) -> None:
+    with pytest.raises(envs.InputError, match=f"{len(name):,} characters") as error:
+        envs.task(name)
+    assert len(str(error.value)) < 150 and repr(name[:40] + "...") in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("Foraging-8x8-2p-2f-coop-v3", "lbf-8x8-2p-2f-c-v3 or lbf-8x8-2p-2f-c"),
+        ("lbforaging:Foraging-15x15-3p-5f-v3", "lbf-15x15-3p-5f-v3 or lbf-15x15-3p-5f"),
+        ("Foraging-2s-8x8-2p-2f-coop-v2", "lbf-8x8-2p-2f-2s-c"),
+        ("Foraging-10x10-3p-3f-v1", "lbf-10x10-3p-3f"),
+        ("Foraging-8s-8x7-2p-2f", "lbf-8x7-2p-2f"),  # sees the whole board
+        ("climbing", "matrix-climbing"),
+        ("penalty-100-nostate", "matrix-penalty-100"),
+        ("matrixgames:penalty-25-nostate-v0", "matrix-penalty-25"),
+    ],
+)
+def test_names_of_the_reference_are_translated(name: str, ours: str) -> None:
+    with pytest.raises(envs.InputError) as error:
+        envs.task(name)
+    assert f"unknown task {name!r}; here it is called {ours}. " in str(error.value)
+    for task in ours.split(" or "):
+        assert envs.task(task).name == task
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("rware-tiny-4ag", ["rware-tiny-4p"]),
+        ("rware:rware-tiny-4ag-v1", ["rware-tiny-4p"]),
+        ("rware-small-2ag-easy-v2", ["rware-small-2p-easy"]),
+        ("simple_spread", ["mpe-spread"]),
+        ("SimpleSpread-v0", ["mpe-spread"]),
+        ("mpe:SimpleSpeakerListener-v0", ["mpe-speaker-listener"]),
+        ("simple_speaker_listener_v4", ["mpe2-speaker-listener", "mpe-speaker-listener"]),
+        ("mpe2.simple_tag_v3", ["mpe2-tag", "mpe-tag"]),
+        ("pz-mpe-simple-adversary-v3", ["mpe2-adversary", "mpe-adversary"]),
+        ("simple_crypto", []),
+        ("3s5z", ["smac-3s5z", "smaclite-3s5z-sc2"]),
+        ("2s_vs_1sc", ["smac-2s_vs_1sc", "smaclite-2s_vs_1sc-sc2"]),
+        ("MMM2", ["smac-MMM2", "smaclite-MMM2-sc2"]),
+        ("smaclite/corridor-v0", ["smaclite-corridor"]),
+        ("Foraging-3s-8x8-2p-2f-v3", ["lbf-8x8-2p-2f-3s-v3", "lbf-8x8-2p-2f-3s"]),
+        ("spread", []),
+        ("lbf-8x8-2p-2f-c", []),
+    ],
+)
+def test_names_here(name: str, ours: list[str]) -> None:
+    assert names_here(name) == ours
+
+
+def test_a_translation_that_is_no_task_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tasks, "PARSERS", ())
+    for name in ("climbing", "Foraging-8x8-2p-2f-coop-v3", "rware-tiny-4ag", "3s5z", "simple_spread"):
+        with pytest.raises(envs.InputError) as error:
+            envs.task(name)
+        assert str(error.value).startswith(f"unknown task {name!r}; this project does not have that game. ")
+    described = tasks.Task("mpe-spread", "mpe", 1, 1, 2, "mpe", {})
+    monkeypatch.setattr(tasks, "PARSERS", (lambda name: described if name == "mpe-spread" else None,))
+    with pytest.raises(envs.InputError, match=r"'simple_spread_v3'; here it is called mpe-spread\. "):
+        envs.task("simple_spread_v3")
 
 
 @given(st.text())
@@ -133,9 +208,28 @@ def test_the_command_line() -> None:
     lines = table.stdout.splitlines()
     assert [line.split()[0] for line in lines[1:]] == envs.task_names()
     assert len({len(line) for line in lines}) == 1
-    one = run("lbf-15x15-3p-5f")
-    cells = one.stdout.splitlines()[1].split()
+    cells = next(line for line in lines if line.startswith("lbf-15x15-3p-5f ")).split()
     assert " ".join(cells) == "lbf-15x15-3p-5f 3 24 72 6 50 20,000,000 2,000,000"
-    unknown = run("lbf-15x15-3p-5")
+    unknown = run("lbf-15x15-3p-5f", "lbf-15x15-3p-5")
     assert unknown.returncode == 2 and unknown.stdout == ""
-    assert unknown.stderr.count("\n") == 1 and "lbf-15x15-3p-5f" in unknown.stderr
+    assert unknown.stderr.count("\n") == 1 and "did you mean lbf-15x15-3p-5f" in unknown.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closes file descriptors as a shell of Unix does")
+@pytest.mark.parametrize(
+    ("shell", "code", "said"),
+    [
+        ("{} matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
+        ("{} nothing 2>&-", 2, ""),
+        pytest.param(
+            "{} matrix-climbing > /dev/full",
+            2,
+            "The table cannot be written: [Errno 28] No space left on device.\n",
+            marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux"),
+        ),
+    ],
+)
+def test_the_command_line_without_a_reader(shell: str, code: int, said: str) -> None:
+    command = shell.format(f"PYTHONUNBUFFERED= '{sys.executable}' -m envs")
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)

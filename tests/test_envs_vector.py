@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import textwrap
 from collections.abc import Callable
 from typing import Any
 
@@ -200,6 +201,14 @@ def test_sizes_out_of_range() -> None:
         envs.make(TASKS[0], num_envs=0)
 
 
+@pytest.mark.parametrize(
+    ("name", "num_envs"), [("lbf-8x8-2p-2f", 10**13), ("matrix-climbing", 2**63), ("lbf-3000x3000-2000000p-2f", 1)]
+)
+def test_what_does_not_fit_into_memory(name: str, num_envs: int) -> None:
+    with pytest.raises(envs.InputError, match=f"{name} with num_envs={num_envs} does not fit into this machine's mem"):
+        envs.make(name, num_envs)
+
+
 # --- Resets and ends ---------------------------------------------------------------------------------------------
 
 
@@ -290,6 +299,30 @@ def test_gymnasium_counts_episodes_right(name: str, copy: bool) -> None:
     assert recording.episode_count == len(expected) >= 40
     np.testing.assert_allclose(recording.return_queue, [r for r, _ in expected])
     assert list(recording.length_queue) == [length for _, length in expected]
+
+
+def test_the_loop_of_the_contract_counts_each_episode_once() -> None:
+    """The loop as it stands in the docstring; sub-environment i takes i + 2 steps an episode."""
+    assert envs.vector.__doc__ is not None
+    loop = textwrap.dedent(envs.vector.__doc__[envs.vector.__doc__.index("    recording = ") :])
+    names = {"RecordEpisodeStatistics": RecordEpisodeStatistics, "env": Counting(), "steps": 12}
+    names["act"] = lambda observations, info: np.zeros((3, 2), int)
+    exec(loop, names)
+    recording = names["recording"]
+    assert isinstance(recording, RecordEpisodeStatistics)
+    assert sorted(recording.length_queue) == 6 * [2] + 4 * [3] + 3 * [4]
+    assert recording.episode_count == 13
+
+
+def test_a_loop_that_waits_makes_gymnasium_count_again() -> None:
+    """What the contract warns of; it may say less once this test fails."""
+    recording = RecordEpisodeStatistics(Counting())
+    recording.reset()
+    flags = np.zeros(3, bool)
+    while not flags.all():
+        _, _, terminated, truncated, _ = recording.step(np.zeros((3, 2), int))
+        flags = terminated | truncated
+    assert recording.episode_count == 3 + 2 + 1
 
 
 # --- Copies ------------------------------------------------------------------------------------------------------
