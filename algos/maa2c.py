@@ -38,6 +38,9 @@ import torch
 from torch import Tensor, nn
 
 import envs
+
+if not hasattr(envs, "VectorEnv"):  # a folder or file of the user's own hides ours
+    sys.exit(f"{getattr(envs, '__path__', envs)} is not marl-baselines; rename what hides it.")
 from envs import VectorEnv, runs
 
 # What the paper's search chose for each family of tasks, with and without parameter sharing.
@@ -135,10 +138,7 @@ class MultiAgentNetwork(nn.Module):
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output].
-
-        hidden: a state for each network; None at the start of an episode.
-        """
+        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output]."""
         n = len(self.networks)
         if hidden is None:
             hidden = [None] * n

@@ -1,9 +1,8 @@
 """A made-up batch, and the slow, obvious computations that the tests of on-policy and off-policy scripts share."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import torch
+from scripts import script
 
 N_AGENTS, N_ACTIONS, OBS_SIZE, STATE_SIZE = 3, 4, 5, 7
 LENGTHS = [6, 1, 4, 6, 3]  # of episodes
@@ -21,24 +20,24 @@ def make_batch(args, garbage=False):
     steps, n_envs = max(LENGTHS), len(LENGTHS)
     masks = torch.rand(steps + 1, n_envs, N_AGENTS, N_ACTIONS, generator=generator) < 0.5
     available = torch.randint(N_ACTIONS, masks.shape[:-1], generator=generator)  # at least this one
-    batch = SimpleNamespace(
+    batch = script("mappo").Batch(
         observations=torch.randn(steps + 1, n_envs, N_AGENTS, OBS_SIZE, generator=generator),
         states=torch.randn(steps + 1, n_envs, STATE_SIZE, generator=generator),
         action_masks=masks.scatter(-1, available.unsqueeze(-1), True),
         actions=available[:-1].clone(),
         rewards=torch.randn(steps, n_envs, N_AGENTS if args.individual_rewards else 1, generator=generator) + 2.0,
         played=torch.zeros(steps, n_envs, dtype=torch.bool),
-        terminated=torch.zeros(steps, n_envs, dtype=torch.bool),
+        no_bootstrap=torch.zeros(steps, n_envs, dtype=torch.bool),
     )
     for e, length in enumerate(LENGTHS):
         batch.played[:length, e] = True
-        batch.terminated[length - 1 :, e] = REAL_ENDS[e] or args.time_limit == "terminal"
+        batch.no_bootstrap[length - 1 :, e] = REAL_ENDS[e] or args.time_limit == "terminal"
         for rows in (batch.observations, batch.states, batch.action_masks):
             rows[length + 1 :, e] = 1e6 * garbage
         batch.rewards[length:, e] = 1e6 * garbage
         batch.actions[length:, e] = garbage
         if garbage:
-            batch.terminated[length:, e] = False
+            batch.no_bootstrap[length:, e] = False
     return batch
 
 

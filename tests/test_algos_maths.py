@@ -30,8 +30,8 @@ class TestReturns:
 
     rewards, values = column([1.0, 2.0, 4.0, 8.0]), column([10.0, 20.0, 30.0, 40.0, 50.0])
 
-    def returns(self, played, terminated, n):
-        result = shared("n_step_returns")(self.rewards, self.values, flags(played), flags(terminated), GAMMA, n)
+    def returns(self, played, no_bootstrap, n):
+        result = shared("n_step_returns")(self.rewards, self.values, flags(played), flags(no_bootstrap), GAMMA, n)
         return result.flatten().tolist()
 
     def test_time_out_bootstraps_from_the_state_after_the_last_step(self):
@@ -53,12 +53,12 @@ class TestReturns:
 
     def test_padding_is_never_read(self):
         """Two steps were played. What follows the state after them does not matter, after a time-out or a real end."""
-        for terminated, expected in (([0, 0, 0, 0], [1 + 1 + 30 / 4, 2 + 15]), ([0, 1, 1, 1], [1 + 1, 2])):
-            assert self.returns([1, 1, 0, 0], terminated, 3)[:2] == expected
+        for no_bootstrap, expected in (([0, 0, 0, 0], [1 + 1 + 30 / 4, 2 + 15]), ([0, 1, 1, 1], [1 + 1, 2])):
+            assert self.returns([1, 1, 0, 0], no_bootstrap, 3)[:2] == expected
             garbage_rewards, garbage_values = self.rewards.clone(), self.values.clone()
             garbage_rewards[2:], garbage_values[3:] = 1e9, -1e9
             again = shared("n_step_returns")(
-                garbage_rewards, garbage_values, flags([1, 1, 0, 0]), flags(terminated), GAMMA, 3
+                garbage_rewards, garbage_values, flags([1, 1, 0, 0]), flags(no_bootstrap), GAMMA, 3
             )
             assert again.flatten().tolist()[:2] == expected
 
@@ -72,9 +72,9 @@ class TestReturns:
         real_end = torch.rand(n_envs, generator=generator) < 0.5
         time = torch.arange(steps).unsqueeze(1)
         played = time < lengths
-        terminated = (time >= lengths - 1) & real_end
+        no_bootstrap = (time >= lengths - 1) & real_end
         for n in (1, 3, 5, 20):
-            returns = shared("n_step_returns")(rewards, values, played, terminated, gamma, n)
+            returns = shared("n_step_returns")(rewards, values, played, no_bootstrap, gamma, n)
             for env in range(n_envs):
                 length = int(lengths[env])
                 for t in range(length):
@@ -150,7 +150,7 @@ class TestNetworks:
         """Of three agents, with four inputs and two outputs."""
         module = script(NAMES[0])
         args = module.Args(hidden_dim=8, parameter_sharing=parameter_sharing)
-        return module.AgentNetworks(args, 3, 4, 2, core)
+        return module.MultiAgentNetwork(args, 3, 4, 2, core)
 
     def test_shared_network_sees_the_agents_id(self):
         networks = self.networks()
@@ -216,15 +216,15 @@ class TestCollect:
         args = module.Args(env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
-        agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
+        agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
         team, arrays = module.Team(args, agents, rng), module.new_batch(args, env)
         module.collect(args, env, team, arrays)  # leaves traces in the arrays that the second must not keep
-        batch = module.collect(args, env, team, arrays)
+        batch, returns = module.collect(args, env, team, arrays)
 
         mirror = envs.make(task, 20, seed=3)
         mirror.episode = 1
         observations, info = mirror.reset()
-        ended, lengths = np.zeros(20, bool), np.zeros(20, int)
+        ended, lengths, sums = np.zeros(20, bool), np.zeros(20, int), np.zeros(20)
         for t in range(len(batch.actions)):
             np.testing.assert_array_equal(batch.observations[t], observations)
             np.testing.assert_array_equal(batch.states[t], info["state"])
@@ -232,12 +232,14 @@ class TestCollect:
             lengths += ~ended
             observations, rewards, terminated, truncated, info = mirror.step(batch.actions[t].numpy())
             np.testing.assert_array_equal(batch.rewards[t], info["agent_rewards"] if individual else rewards[:, None])
+            sums += rewards
             ended = terminated | truncated
-            np.testing.assert_array_equal(batch.terminated[t], ended if time_limit == "terminal" else terminated)
+            np.testing.assert_array_equal(batch.no_bootstrap[t], ended if time_limit == "terminal" else terminated)
         np.testing.assert_array_equal(batch.observations[-1], observations)
         assert ended.all() and len(batch.observations) == lengths.max() + 1
         assert terminated.any() and truncated.any()  # both kinds of end were seen
         assert int(batch.played.sum()) == lengths.sum()
+        np.testing.assert_allclose(returns, sums)  # the team's, also where each agent learns from its own rewards
 
 
 @pytest.mark.parametrize("name", ON_POLICY)
@@ -265,13 +267,13 @@ def test_loss_of_the_second_epoch_is_clipped(name):
         args = module.Args(env="lbf-5x5-2p-1f", hidden_dim=16, num_envs=8, update_epochs=update_epochs)
         env = envs.make(args.env, 8, 0, copy=False)
         rng = torch.manual_seed(3)
-        agents = module.AgentNetworks(args, env.n_agents, env.obs_size, env.n_actions)
-        critic = module.AgentNetworks(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
+        agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
+        critic = module.MultiAgentNetwork(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
         parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
         parts["standardiser"] = module.RewardStandardiser("none")
         parts["actor_optimiser"] = torch.optim.Adam(agents.parameters(), lr=0.05)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
+        batch, _ = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
         before = module.deepcopy(agents)
         losses = module.update(args, parts, batch, 1)
         return args, parts, batch, before, losses
@@ -280,7 +282,7 @@ def test_loss_of_the_second_epoch_is_clipped(name):
     losses = learn(2)[-1]
     view = batch.states.unsqueeze(2) if name[0] == "m" else batch.observations
     values = parts["critic"](view)[0].squeeze(-1).detach()
-    returns = module.n_step_returns(batch.rewards, values, batch.played, batch.terminated, args.gamma, args.n_step)
+    returns = module.n_step_returns(batch.rewards, values, batch.played, batch.no_bootstrap, args.gamma, args.n_step)
     old = before(batch.observations)[0].softmax(-1).detach()
     new = parts["agents"](batch.observations)[0].softmax(-1).detach()
     terms, clipped_high, clipped_low = [], 0, 0
@@ -295,7 +297,7 @@ def test_loss_of_the_second_epoch_is_clipped(name):
         entropy = -float((new[t, e, i] * new[t, e, i].log()).sum())
         terms.append(-(gain + args.entropy_coef * entropy))
     assert clipped_high > 0 and clipped_low > 0
-    assert losses["actor"].item() == pytest.approx(np.mean(terms), rel=1e-3)
+    assert losses["loss/actor"].item() == pytest.approx(np.mean(terms), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ON_POLICY)

@@ -3,7 +3,6 @@
 What has the same text in several scripts, as test_algos_text.py demands of it, is tested in the first of them.
 """
 
-import os
 from copy import deepcopy
 from types import SimpleNamespace
 
@@ -29,7 +28,13 @@ from slow import (
 )
 
 REWARDS = [(name, False) for name in OFF_POLICY] + [("iql", True), ("maddpg", True)]  # of the team, or of each agent
-LOSSES = {"optimiser": "value_error", "actor_optimiser": "actor", "critic_optimiser": "critic"}  # what each lowers
+LOSSES = {
+    "optimiser": "loss/value",
+    "actor_optimiser": "loss/actor",
+    "critic_optimiser": "loss/critic",
+}  # what each lowers
+NORMS = {"optimiser": "gradient/norm", "actor_optimiser": "gradient/actor_norm"}
+NORMS["critic_optimiser"] = "gradient/critic_norm"
 
 
 def best(values, available):
@@ -42,13 +47,13 @@ def make_parts(module, args):
     """What `update` learns with: random networks, targets that differ from them, optimisers that move nothing."""
     parts = {"standardiser": module.RewardStandardiser(args.reward_standardisation)}
     for kind in ("", "target_"):
-        parts[f"{kind}agents"] = module.AgentNetworks(args, N_AGENTS, OBS_SIZE, N_ACTIONS, args.network)
-        if module.ALGORITHM == "qmix":
+        parts[f"{kind}agents"] = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS, args.network)
+        if module.__name__ == "qmix":
             parts[f"{kind}mixer"] = module.Mixer(N_AGENTS, STATE_SIZE)
-        if module.ALGORITHM == "maddpg":
-            parts[f"{kind}critic"] = module.AgentNetworks(args, N_AGENTS, STATE_SIZE + N_AGENTS * N_ACTIONS, 1)
+        if module.__name__ == "maddpg":
+            parts[f"{kind}critic"] = module.MultiAgentNetwork(args, N_AGENTS, STATE_SIZE + N_AGENTS * N_ACTIONS, 1)
     learning = {part: list(parts[part].parameters()) for part in ("agents", "mixer", "critic") if part in parts}
-    if module.ALGORITHM == "maddpg":
+    if module.__name__ == "maddpg":
         parts["actor_optimiser"] = torch.optim.SGD(learning["agents"], lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(learning["critic"], lr=0.0)
     else:
@@ -82,7 +87,7 @@ def slow_mix(mixer, values, state):
 
 def slow_value_losses(name, args, parts, batch):
     """IQL, VDN, QMIX by loops over episodes, steps and agents."""
-    rewards, errors, values = slow_rewards(args, batch), [], []
+    rewards, errors, values, goals = slow_rewards(args, batch), [], [], []
     for e, length in enumerate(LENGTHS):
         online = step_by_step(parts["agents"], batch.observations[:, e])
         target = step_by_step(parts["target_agents"], batch.observations[:, e])
@@ -100,7 +105,9 @@ def slow_value_losses(name, args, parts, batch):
                 goal = rewards[t, e, i] + goes_on * args.gamma * next_value.detach()
                 errors.append((goal - value) ** 2)
                 values.append(value)
-    return {"value_error": torch.stack(errors).mean(), "value": torch.stack(values).mean()}
+                goals.append(goal)
+    means = {"loss/value": errors, "value/mean": values, "value/target_mean": goals}
+    return {name: torch.stack(figures).mean() for name, figures in means.items()}
 
 
 def slow_maddpg_losses(args, parts, batch, noise):
@@ -135,7 +142,7 @@ def slow_maddpg_losses(args, parts, batch, noise):
                 gain = judged(parts["critic"], i, batch.states[t, e], actions)
                 squares = sum(logits[t][i][a] ** 2 for a in range(N_ACTIONS) if masks[i][a])  # 0 where masked
                 actor_terms.append(args.actor_regularisation * squares / N_ACTIONS - gain)
-    return {"critic": torch.stack(critic_errors).mean(), "actor": torch.stack(actor_terms).mean()}
+    return {"loss/critic": torch.stack(critic_errors).mean(), "loss/actor": torch.stack(actor_terms).mean()}
 
 
 @pytest.mark.parametrize("name, individual", REWARDS)
@@ -159,13 +166,14 @@ def test_losses_of_the_first_update(name, individual, time_limit, sharing, netwo
     learning = learning_parameters(parts)
     gradients = {x: torch.autograd.grad(expected[LOSSES[x]], learning[x]) for x in learning}
     torch.manual_seed(1)
-    losses = module.update(args, parts, batch, 1)
-    assert set(losses) == set(expected)
-    for term, loss in losses.items():
-        torch.testing.assert_close(loss, expected[term], rtol=1e-4, atol=1e-6)
+    figures = module.update(args, parts, batch, 1)
+    for name, figure in expected.items():
+        torch.testing.assert_close(figures[name], figure, rtol=1e-4, atol=1e-6)
     for optimiser, parameters in learning.items():
         for parameter, gradient in zip(parameters, gradients[optimiser]):
             torch.testing.assert_close(parameter.grad, gradient, rtol=1e-3, atol=1e-5)
+        norm = torch.cat([gradient.flatten() for gradient in gradients[optimiser]]).norm()
+        torch.testing.assert_close(figures[NORMS[optimiser]], norm, rtol=1e-3, atol=1e-5)
 
 
 def slow_update(name, args, parts, batch):
@@ -318,7 +326,7 @@ class TestEpsilon:
         module = script(VALUE_BASED[0])
         args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
-        agents = module.AgentNetworks(args, 2, OBS_SIZE, N_ACTIONS)
+        agents = module.MultiAgentNetwork(args, 2, OBS_SIZE, N_ACTIONS)
         return module.Team(args, agents, torch.Generator().manual_seed(0))
 
     def test_frequencies(self):
@@ -415,13 +423,13 @@ class TestReplay:
         args = module.Args(**{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
-        team = module.Team(args, module.AgentNetworks(args, N_AGENTS, OBS_SIZE, N_ACTIONS), torch.Generator())
+        team = module.Team(args, module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS), torch.Generator())
         arrays = module.new_batch(args, game)
         replay = module.Replay(args, game, arrays, path / "replay.bin")
 
         def play(episodes):
             for _ in range(episodes):
-                replay.add(module.collect(args, game, team, arrays))
+                replay.add(module.collect(args, game, team, arrays)[0])
 
         return replay, game, play
 
@@ -448,7 +456,7 @@ class TestReplay:
     def test_a_batch_holds_what_was_played(self, state_is_observations, time_limit, individual, tmp_path):
         flags = {"state_is_observations": state_is_observations, "time_limit": time_limit}
         replay, game, play = self.begin(tmp_path, individual_rewards=individual, batch_size=5, **flags)
-        assert ("states" in replay.slots.dtype.names) == (not state_is_observations)
+        assert ("states" in replay.file.slots.dtype.names) == (not state_is_observations)
         rng = torch.Generator().manual_seed(0)
         play(4)
         for _ in range(20):  # each slot more than twice
@@ -457,13 +465,13 @@ class TestReplay:
             for e, k in enumerate(batch.rewards[0, :, 0].int().tolist()):
                 length, notes = LENGTHS[k % len(LENGTHS)], game.notes[k]
                 for rows in ("observations", "states", "action_masks"):
-                    np.testing.assert_array_equal(vars(batch)[rows][: length + 1, [e]], vars(notes)[rows])
-                    assert len(vars(batch)[rows]) == len(batch.actions) + 1
+                    np.testing.assert_array_equal(getattr(batch, rows)[: length + 1, [e]], vars(notes)[rows])
+                    assert len(getattr(batch, rows)) == len(batch.actions) + 1
                 np.testing.assert_array_equal(batch.actions[:length, [e]], notes.actions)
                 assert (batch.rewards[:length, e] == k + torch.arange(N_AGENTS if individual else 1) / 4).all()
                 assert batch.played[:, e].tolist() == [t < length for t in range(len(batch.actions))]
                 ends = REAL_ENDS[k % len(LENGTHS)] or time_limit == "terminal"
-                assert batch.terminated[:length, e].tolist() == [False] * (length - 1) + [ends]
+                assert batch.no_bootstrap[:length, e].tolist() == [False] * (length - 1) + [ends]
 
     def test_number_of_episodes(self, tmp_path):
         for limit, buffer_size, batch_size, size in (
@@ -481,22 +489,22 @@ class TestReplay:
         """Up to two checkpoints later, a replay opened where the checkpoint was made draws what it would have drawn."""
         replay, game, play = self.begin(tmp_path, batch_size=5)
         play(13)
-        assert replay.state_dict() == {}
+        assert replay.file.state_dict() == {}
         expected = replay.sample(torch.Generator().manual_seed(0))
-        for later in range(2 * replay.spare + 1):
+        for later in range(2 * replay.file.checkpoint_every + 1):
             again, _, _ = self.begin(tmp_path, batch_size=5, episode=13)
             batch = again.sample(torch.Generator().manual_seed(0))
-            for array, rows in vars(expected).items():
-                assert torch.equal(vars(batch)[array], rows), (later, array)
+            for array, rows in expected._asdict().items():
+                assert torch.equal(getattr(batch, array), rows), (later, array)
             play(1)
-        assert game.episode == 13 + 2 * replay.spare + 1
+        assert game.episode == 13 + 2 * replay.file.checkpoint_every + 1
 
     def test_a_run_from_the_start_keeps_nothing(self, tmp_path):
         replay, _, play = self.begin(tmp_path)
         play(9)
-        assert replay.slots["played"].any(1).all()
+        assert replay.file.slots["played"].any(1).all()
         again, _, _ = self.begin(tmp_path)
-        assert not again.slots["played"].any()
+        assert not again.file.slots["played"].any()
 
     @pytest.mark.parametrize("missing", ["memory", "disk"])
     def test_a_machine_without_room_is_refused(self, monkeypatch, missing, tmp_path):
@@ -516,42 +524,6 @@ class TestReplay:
         assert not path.exists()
 
 
-class TestReserve:
-    @pytest.fixture(autouse=True)
-    def machine(self, monkeypatch):
-        """With five free MiB of memory and three of disk."""
-        monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=5 * 2**20))
-        monkeypatch.setattr(psutil, "disk_usage", lambda path: SimpleNamespace(free=3 * 2**20))
-
-    def test_a_new_file_takes_its_room_at_once(self, tmp_path, capsys):
-        path = tmp_path / "replay.bin"
-        path.write_bytes(b"of a run that left no checkpoint")
-        envs.reserve(path, 3 * 2**20, new=True)
-        assert path.read_bytes() == b"\0" * 3 * 2**20
-        if hasattr(os, "posix_fallocate"):
-            assert path.stat().st_blocks * 512 >= 3 * 2**20
-        (said,) = capsys.readouterr().err.splitlines()
-        assert "takes 3 MiB on the disk (3 free) and in memory (5 free)" in said
-
-    def test_a_file_to_go_on_with_is_left_as_it_is(self, tmp_path, capsys):
-        path = tmp_path / "replay.bin"
-        path.write_bytes(b"1" * 4 * 2**20)  # more than what is free besides
-        envs.reserve(path, 4 * 2**20, new=False)
-        assert path.read_bytes() == b"1" * 4 * 2**20
-        (said,) = capsys.readouterr().err.splitlines()
-        assert "takes 4 MiB in memory (5 free)" in said
-
-    def test_what_does_not_fit_is_refused(self, tmp_path):
-        for size, missing in ((4, "disk"), (6, "memory")):
-            with pytest.raises(envs.InputError, match=f"{size} MiB, more than the free {missing}"):
-                envs.reserve(tmp_path / "replay.bin", size * 2**20, new=True)
-        assert not (tmp_path / "replay.bin").exists()
-
-    def test_a_file_that_is_gone_is_refused(self, tmp_path):
-        with pytest.raises(envs.InputError, match="complete run deletes it"):
-            envs.reserve(tmp_path / "replay.bin", 2**20, new=False)
-
-
 # --- training ---
 @pytest.mark.parametrize("name", OFF_POLICY)
 def test_updates_and_checkpoints_of_a_run(monkeypatch, name):
@@ -567,8 +539,8 @@ def test_updates_and_checkpoints_of_a_run(monkeypatch, name):
     monkeypatch.setattr(module, "update", noted)
     monkeypatch.setattr(FakeRun, "save", lambda run: saves.append(run.env.episode))
     run = trained(monkeypatch, name, 9, "matrix-climbing", batch_size=4, buffer_size=11, hidden_dim=8)
-    assert numbers == [1, 2, 3, 4, 5, 6] and saves == [3, 6, 9] and run.timestep == 9 * 25
-    assert not (run.directory / "replay.bin").exists()
+    assert numbers == [1, 2, 3, 4, 5, 6] and run.steps == 9 * 25
+    assert saves == [3, 6, 9]
 
 
 @pytest.mark.parametrize("name, individual", REWARDS)
@@ -626,14 +598,14 @@ class LinearCritics(torch.nn.Module):
 
 
 class TestMaddpg:
-    def test_critic_inputs(self):
+    def test_what_the_critics_see(self):
         """The state, then the actions of agent 0, of agent 1; one row for each critic."""
         states = torch.tensor([[[7.0, 8.0]]])  # [time 1, env 1, state 2]
         for_all = torch.tensor([[[[[1, 0, 0], [0, 0, 1]]]]])  # [time 1, env 1, 1, agent 2, action 3]
-        assert script("maddpg").critic_inputs(states, for_all).tolist() == [[[[7, 8, 1, 0, 0, 0, 0, 1]]]]
+        assert script("maddpg").with_joint_actions(states, for_all).tolist() == [[[[7, 8, 1, 0, 0, 0, 0, 1]]]]
         for_each = torch.tensor([[[[[1, 0, 0], [0, 0, 1]], [[0, 1, 0], [0, 2, 3]]]]])
         rows = [[7, 8, 1, 0, 0, 0, 0, 1], [7, 8, 0, 1, 0, 0, 2, 3]]
-        assert script("maddpg").critic_inputs(states, for_each).tolist() == [[rows]]
+        assert script("maddpg").with_joint_actions(states, for_each).tolist() == [[rows]]
 
     def actor_update(self, logits, weights, masks, regularisation):
         """The actors' loss and gradient [agent, action] in four steps, and what Gumbel added [step, agent, action]."""
@@ -645,19 +617,19 @@ class TestMaddpg:
         parts |= {"target_agents": FixedPolicies(logits), "target_critic": LinearCritics(weights)}
         parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch = SimpleNamespace(
+        batch = module.Batch(
             observations=torch.zeros(steps + 1, 1, n_agents, 1),
             states=torch.zeros(steps + 1, 1, 1),
             action_masks=masks.expand(steps + 1, 1, -1, -1),
             actions=torch.zeros(steps, 1, n_agents, dtype=torch.int64),
             rewards=torch.zeros(steps, 1, 1),
             played=torch.ones(steps, 1, dtype=torch.bool),
-            terminated=torch.zeros(steps, 1, dtype=torch.bool),
+            no_bootstrap=torch.zeros(steps, 1, dtype=torch.bool),
         )
         torch.manual_seed(0)
         noise = -torch.empty(steps, n_agents, n_actions).exponential_().log()
         torch.manual_seed(0)
-        loss = module.update(args, parts, batch, 1)["actor"].item()
+        loss = module.update(args, parts, batch, 1)["loss/actor"].item()
         return loss, agents.logits.grad, noise
 
     def test_actions_are_one_hots_with_the_gradient_of_the_softmax(self):

@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 
+import numpy as np
 import pytest
 import torch
 from scripts import ON_POLICY, script
@@ -41,7 +42,7 @@ def slow_returns(name, args, parts, batch, last_actions):
         for t in range(length):
             end = min(t + args.n_step, length)
             total = sum(args.gamma ** (k - t) * rewards[k, e] for k in range(t, end))
-            if end < length or not batch.terminated[length - 1, e]:
+            if end < length or not batch.no_bootstrap[length - 1, e]:
                 actions = batch.actions[end, e] if end < len(batch.actions) else last_actions[e]
                 values = slow_values(name, parts["target_critic"], batch, end, e, actions).detach()
                 taken = [values[i, actions[i] if name == "coma" else 0] for i in range(N_AGENTS)]
@@ -51,7 +52,7 @@ def slow_returns(name, args, parts, batch, last_actions):
 
 
 def slow_update(name, args, parts, batch, clips):
-    """An update by loops over environments, steps and agents. Returns its losses; counts in clips where PPO clipped."""
+    """An update by loops over environments, steps and agents. Returns its figures; notes in clips where PPO clipped."""
     steps = [(t, e) for e, length in enumerate(LENGTHS) for t in range(length)]
     played = [(t, e, i) for t, e in steps for i in range(N_AGENTS)]
     logits = torch.stack([step_by_step(parts["agents"], batch.observations[:, e])[-1] for e in range(len(LENGTHS))])
@@ -61,20 +62,25 @@ def slow_update(name, args, parts, batch, clips):
     for _ in range(getattr(args, "update_epochs", 1)):
         outputs = [step_by_step(parts["agents"], batch.observations[:, e]) for e in range(len(LENGTHS))]
         judged = {(t, e): slow_values(name, parts["critic"], batch, t, e, batch.actions[t, e]) for t, e in steps}
-        errors, advantages = [], {}
+        errors, advantages, values_taken = [], {}, []
         for t, e, i in played:
             values = judged[t, e][i]
             value = values[batch.actions[t, e, i] if name == "coma" else 0]
             errors.append((returns[e][t, i] - value) ** 2)
+            values_taken.append(value.item())
             advantages[t, e, i] = (returns[e][t, i] - value).item()
             if name == "coma":
                 available = batch.action_masks[t, e, i]
                 policy = outputs[e][t][i][available].softmax(-1)
                 advantages[t, e, i] = (value - (policy * values[available]).sum()).item()
-        losses["critic"] = torch.stack(errors).mean() * (N_AGENTS if name == "coma" else 1)
-        slow_step(parts["critic_optimiser"], losses["critic"], args.max_grad_norm)
+        losses["loss/critic"] = torch.stack(errors).mean() * (N_AGENTS if name == "coma" else 1)
+        norm = slow_step(parts["critic_optimiser"], losses["loss/critic"], args.max_grad_norm)
+        losses["gradient/critic_norm"] = torch.tensor(norm)
+        unexplained = [float(returns[e][t, i] - value) for (t, e, i), value in zip(played, values_taken)]
+        variance = np.var([float(returns[e][t, i]) for t, e, i in played], ddof=1)
+        losses["value/explained_variance"] = torch.tensor(1 - np.var(unexplained, ddof=1) / variance).float()
 
-        gains, entropies = [], []
+        gains, entropies, divergences, outside = [], [], [], []
         for t, e, i in played:
             available, advantage = batch.action_masks[t, e, i], advantages[t, e, i]
             policy = torch.zeros(N_ACTIONS).masked_scatter(available, outputs[e][t][i][available].softmax(-1))
@@ -85,12 +91,18 @@ def slow_update(name, args, parts, batch, clips):
                 bound = 1 + args.clip_coef if advantage > 0 else 1 - args.clip_coef
                 clipped = ratio > bound if advantage > 0 else ratio < bound
                 clips.append(bool(clipped))
+                divergences.append(float(ratio - 1 - ratio.log()))
+                outside.append(abs(float(ratio) - 1) > args.clip_coef)
                 gains.append(torch.tensor(bound * advantage) if clipped else ratio * advantage)
             else:
                 gains.append(probability.log() * advantage)
-        losses["entropy"] = torch.stack(entropies).mean()
-        losses["actor"] = -torch.stack(gains).mean() - args.entropy_coef * losses["entropy"]
-        slow_step(parts["actor_optimiser"], losses["actor"], args.max_grad_norm)
+        losses["policy/entropy"] = torch.stack(entropies).mean()
+        losses["loss/actor"] = -torch.stack(gains).mean() - args.entropy_coef * losses["policy/entropy"]
+        norm = slow_step(parts["actor_optimiser"], losses["loss/actor"], args.max_grad_norm)
+        losses["gradient/actor_norm"] = torch.tensor(norm)
+        if "ppo" in name:
+            losses["policy/approximate_kl"] = torch.tensor(np.mean(divergences)).float()
+            losses["policy/clip_fraction"] = torch.tensor(np.mean(outside)).float()
     slow_target(parts["target_critic"], parts["critic"])
     return losses
 
@@ -114,9 +126,9 @@ def test_updates_in_a_row(name, time_limit, sharing, network, standardisation, i
     torch.manual_seed(0)
     view = {"ia2c": OBS_SIZE, "ippo": OBS_SIZE, "coma": STATE_SIZE + N_AGENTS * N_ACTIONS}.get(name, STATE_SIZE)
     parts = {"standardiser": module.RewardStandardiser(standardisation)}
-    parts["agents"] = module.AgentNetworks(args, N_AGENTS, OBS_SIZE, N_ACTIONS, network)
+    parts["agents"] = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS, network)
     for part in ("critic", "target_critic"):
-        parts[part] = module.AgentNetworks(args, N_AGENTS, view, N_ACTIONS if name == "coma" else 1)
+        parts[part] = module.MultiAgentNetwork(args, N_AGENTS, view, N_ACTIONS if name == "coma" else 1)
     parts["actor_optimiser"] = torch.optim.Adam(parts["agents"].parameters(), lr=0.01, fused=True)
     parts["critic_optimiser"] = torch.optim.Adam(parts["critic"].parameters(), lr=0.01, fused=True)
     slow, start, batch, clips = deepcopy(parts), deepcopy(parts), make_batch(args), list[bool]()

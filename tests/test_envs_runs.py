@@ -1,0 +1,232 @@
+"""What all runs need of the file system and the machine: flags, directories, tables, the file of a replay."""
+
+import csv
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import psutil
+import pytest
+
+from envs import InputError, runs
+
+
+@dataclass
+class Args:
+    # task
+    env: str = "matrix-climbing"  # the task
+    seed: int = 0  # of everything
+    total_timesteps: int = 1000  # length
+    parameter_sharing: bool = True  # one network for all agents, or one for each
+    # learning
+    network: Literal["fc", "gru"] = "fc"  # the core
+    gamma: float = 0.99  # discount
+    clip_coef: float = 0.2  # how far
+    max_grad_norm: float = 10.0  # norm
+    epsilon_anneal: int = 10  # steps
+    threads: int = 1  # of PyTorch
+    eval_points: int = 3  # evaluations
+    run_dir: str = ""  # where the run is kept
+    resume: bool = False  # go on
+    track: bool = False  # somewhere
+
+
+def open_directory(path: Path, **flags: Any) -> runs.RunDirectory:
+    args = Args(run_dir=str(path), **flags)
+    return runs.RunDirectory(__file__, args, Args())
+
+
+class TestFlags:
+    @pytest.mark.parametrize(
+        "flag, value",
+        [
+            ("gamma", -0.1),
+            ("gamma", 1.1),
+            ("gamma", math.nan),
+            ("clip_coef", 0.0),
+            ("clip_coef", 1.0),
+            ("max_grad_norm", -1.0),
+            ("epsilon_anneal", -1),
+            ("threads", 0),
+            ("threads", 100_000),
+            ("total_timesteps", 0),
+            ("seed", -1),
+            ("seed", 2**63),
+        ],
+    )
+    def test_out_of_range(self, flag: str, value: float) -> None:
+        with pytest.raises(InputError, match=f"--{flag.replace('_', '-')} .* must lie"):
+            runs.check_flags(SimpleNamespace(**vars(Args()) | {flag: value}))
+
+    @pytest.mark.parametrize(
+        "flag, value",
+        [("gamma", 0.0), ("gamma", 1.0), ("clip_coef", 0.99), ("max_grad_norm", math.inf), ("epsilon_anneal", 0)],
+    )
+    def test_in_range(self, flag: str, value: float) -> None:
+        runs.check_flags(SimpleNamespace(**vars(Args()) | {flag: value}))
+
+    def test_every_number_of_the_scripts_has_a_range(self) -> None:
+        from scripts import NAMES, script
+
+        for name in NAMES:
+            for flag, value in vars(script(name).Args()).items():
+                assert isinstance(value, str | bool) or flag in runs.RANGES, flag
+
+    def test_changed_flags(self) -> None:
+        args = Args(seed=4, run_dir="here", network="gru", total_timesteps=5, parameter_sharing=False)
+        assert runs.changed_flags(args, Args()) == {"network": "gru", "total_timesteps": 5}
+
+    def test_names_of_directories(self, monkeypatch: Any, tmp_path: Path) -> None:
+        monkeypatch.chdir(tmp_path)
+        for name in ("mappo.py", "iql.py"):
+            Path(name).touch()
+        path = runs.RunDirectory("mappo.py", Args(seed=3), Args()).path
+        assert path == Path("runs/matrix-climbing/mappo-shared/seed3")
+        args = Args(env="a/b:c", parameter_sharing=False, gamma=0.5, total_timesteps=7, eval_points=9)
+        path = runs.RunDirectory("iql.py", args, Args()).path
+        assert path == Path("runs/a_b_c/iql-independent-gamma=0.5/seed0")
+
+    def test_a_very_long_name_is_cut(self) -> None:
+        first, second = (runs.safe_name("x" * 300 + end) for end in "ab")
+        assert len(first) == len(second) < 255 and first != second
+
+
+class TestDirectory:
+    rows = ({"point": 0, "timestep": 0, "return_mean": 1.5},)
+
+    def save(self, directory: runs.RunDirectory, rows: Sequence[dict[str, float]]) -> None:
+        directory.save(rows=rows, timestep=5)
+
+    def test_the_checkpoint_comes_back(self, tmp_path: Path) -> None:
+        first = open_directory(tmp_path / "run")
+        assert first.checkpoint() is None
+        self.save(first, self.rows)
+        del first
+        saved = open_directory(tmp_path / "run", resume=True).checkpoint()
+        assert saved is not None and saved["timestep"] == 5 and saved["rows"] == self.rows
+
+    def test_a_new_column_shifts_no_old_row(self, tmp_path: Path) -> None:
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, [*self.rows, {"point": 1, "return_mean": 2.0, "deliveries": 3.0, "timestep": 10}])
+        with open(tmp_path / "run" / "evaluations.csv") as file:
+            first, second = csv.DictReader(file)
+        assert first == {"point": "0", "timestep": "0", "return_mean": "1.5", "deliveries": ""}
+        assert second == {"point": "1", "timestep": "10", "return_mean": "2.0", "deliveries": "3.0"}
+
+    def test_tables_are_written_whole_or_not_at_all(self, monkeypatch: Any, tmp_path: Path) -> None:
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, self.rows)
+        before = (tmp_path / "run" / "evaluations.csv").read_bytes()
+
+        def full_disk(path: Path, text: str) -> None:
+            with open(path, "w") as file:
+                file.write(text[:3])
+            raise OSError("No space left on device")
+
+        monkeypatch.setattr(Path, "write_text", full_disk)
+        with pytest.raises(OSError, match="No space"):
+            self.save(directory, [*self.rows, {"point": 1, "timestep": 9, "return_mean": 0.0}])
+        assert (tmp_path / "run" / "evaluations.csv").read_bytes() == before
+
+    def test_seconds_add_up_and_never_run_backwards(self, monkeypatch: Any, tmp_path: Path) -> None:
+        first = open_directory(tmp_path / "run")
+        first._stopwatch = runs.Stopwatch(wall_seconds=100.0, cpu_seconds=50.0)
+        self.save(first, self.rows)
+        del first
+        monkeypatch.setattr(time, "time", lambda: 0.0)  # somebody sets the clock back by half a century
+        second = open_directory(tmp_path / "run", resume=True)
+        second.checkpoint()
+        seconds = second.seconds()
+        assert 100 <= seconds["wall_seconds"] < 200 and 50 <= seconds["cpu_seconds"] < 150
+
+    def test_the_one_before_is_kept(self, tmp_path: Path) -> None:
+        directory = open_directory(tmp_path / "run")
+        for timestep in (1, 2, 3):
+            directory.save(rows=self.rows, timestep=timestep)
+        (tmp_path / "run" / "checkpoint.pt").write_bytes(b"damaged")
+        saved = runs.last_checkpoint(tmp_path / "run")
+        assert saved is not None and saved["timestep"] == 2
+
+    def test_a_run_that_left_no_checkpoint_begins_anew(self, tmp_path: Path) -> None:
+        """It was killed while it wrote its first one."""
+        directory = tmp_path / "run"
+        directory.mkdir()
+        for name in ("checkpoint.new.pt", "progress.json", "replay.bin", "events.out.tfevents.1"):
+            (directory / name).write_bytes(b"begun")
+        with pytest.raises(InputError, match="--resume"):
+            open_directory(directory)
+        assert open_directory(directory, resume=True).checkpoint() is None
+
+
+class TestEpisodeFile:
+    """Episodes of at most four steps: the number of the episode in each step, and what was played."""
+
+    @pytest.fixture(autouse=True)
+    def machine(self, monkeypatch: Any) -> dict[str, int]:
+        """With a gibibyte of free memory and disk."""
+        free = {"memory": 2**30, "disk": 2**30}
+        monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free["memory"]))
+        monkeypatch.setattr(psutil, "disk_usage", lambda path: SimpleNamespace(free=free["disk"]))
+        return free
+
+    def begin(self, folder: Path, size: int = 6, played: int = 0) -> runs.EpisodeFile:
+        fields = {"value": np.zeros(5, np.float32), "played": np.zeros(4, np.bool_)}
+        return runs.EpisodeFile(folder / "replay.bin", fields, size, played)
+
+    def play(self, file: runs.EpisodeFile, numbers: range) -> None:
+        for number in numbers:
+            steps = 1 + number % 4
+            played = np.ones(steps, np.bool_)
+            file.write(number, {"value": np.full(steps + 1, number, np.float32), "played": played})
+
+    def test_what_was_written_is_read_cut_to_the_longest(self, tmp_path: Path) -> None:
+        file = self.begin(tmp_path)
+        self.play(file, range(1, 40))
+        read = file.read(np.array([34, 36, 37]))  # of 3, 1 and 2 steps
+        assert read["value"].shape == (3, 4) and read["played"].shape == (3, 3)
+        assert read["played"].tolist() == [[True] * 3, [True, False, False], [True, True, False]]
+        assert (read["value"][0] == 34).all() and (read["value"][1, :2] == 36).all()
+
+    def test_a_new_file_takes_its_room_at_once(self, tmp_path: Path, capsys: Any) -> None:
+        path = tmp_path / "replay.bin"
+        path.write_bytes(b"of a run that left no checkpoint")
+        file = self.begin(tmp_path, size=100_000)
+        assert len(file.slots) == 150_000 and path.stat().st_size == 150_000 * (20 + 4 + 8)
+        assert not file.slots["number"].any()
+        if hasattr(os, "posix_fallocate"):
+            assert path.stat().st_blocks * 512 >= path.stat().st_size
+        (said,) = capsys.readouterr().err.splitlines()
+        assert "takes 5 MiB on the disk (1,024 free) and in memory (1,024 free)" in said
+
+    def test_it_is_opened_again_as_it_was(self, tmp_path: Path, machine: dict[str, int]) -> None:
+        self.play(self.begin(tmp_path), range(1, 14))
+        machine["disk"] = 0  # it has its room already
+        again = self.begin(tmp_path, played=13)
+        assert again.read(np.array([13]))["value"][0, 0] == 13
+
+    @pytest.mark.parametrize("missing", ["memory", "disk"])
+    def test_a_machine_without_room_is_refused(self, tmp_path: Path, machine: dict[str, int], missing: str) -> None:
+        """One byte less than the file takes is too little, and nothing is written then."""
+        size = 10 * (20 + 4 + 8)  # six slots and twice two spare ones
+        machine |= {"memory": size, "disk": size}
+        self.begin(tmp_path)
+        (tmp_path / "replay.bin").unlink()
+        machine[missing] -= 1
+        with pytest.raises(InputError, match=f"would take 0 MiB, more than the free {missing}"):
+            self.begin(tmp_path)
+        assert not (tmp_path / "replay.bin").exists()
+
+    def test_another_file_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="complete run deletes it"):
+            self.begin(tmp_path, played=3)
+        self.play(self.begin(tmp_path), range(1, 14))
+        with pytest.raises(InputError, match="another length"):
+            self.begin(tmp_path, size=7, played=13)
+        with pytest.raises(InputError, match="does not hold the last episodes"):
+            self.begin(tmp_path, played=14)
