@@ -146,7 +146,7 @@ class MultiAgentNetwork(nn.Module):
         if n == 1:
             output, state = self.networks[0](x, hidden[0])
             return output, [state]
-        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # each agent's own
+        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # one for each agent
         outputs, states = zip(*(self.networks[i](views[i], hidden[i]) for i in range(n)))
         return torch.cat(outputs, dim=2), list(states)
 
@@ -186,15 +186,15 @@ def n_step_returns(
     """The discounted sum of the next n rewards, plus the discounted value of the state after them.
 
     Where fewer than n are left, the value is that of the last state; or 0, if the game was over.
-    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], before each step and at last;
+    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent]; the last one is after the end;
     played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
     after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
     values = torch.cat([values[:1], after])
-    returns = values  # with 0 rewards
-    for _ in range(min(n, len(rewards))):  # from k to k + 1 rewards, at all times at once
+    returns = values  # a 0-step return is the value alone
+    for _ in range(min(n, len(rewards))):  # a reward and the next k-step return make k + 1 steps
         longer = rewards + gamma * returns[1:]
-        longer = torch.where(played.unsqueeze(-1), longer, values[:-1])
+        longer = torch.where(played.unsqueeze(-1), longer, values[:-1])  # nothing beyond the end
         returns = torch.cat([longer, values[-1:]])
     return returns[:-1]
 
@@ -218,7 +218,8 @@ def explained_variance(values: Tensor, returns: Tensor, played: Tensor) -> Tenso
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick), and
+    the logarithm of an exponential variable is minus such noise.
     """
     minus_gumbel = torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits - minus_gumbel, -torch.inf).argmax(-1)
@@ -234,7 +235,7 @@ class Batch(NamedTuple):
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
     played: Tensor  # [time, env], bool: False once the episode has ended
-    no_bootstrap: Tensor  # [time, env], bool: the state after this step counts for nothing
+    no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
 class SamplingTeam:
@@ -334,14 +335,15 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
 
 
 def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
-    """Learns from a batch; `updates` counts from 1. Returns figures for the log."""
+    """Learns from a batch in update number `updates`, from 1 on. Returns figures for the log."""
     agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
     critic_inputs = batch.observations  # [time + 1, env, agent, obs]: each agent sees its own
     rewards = parts["standardiser"](batch.rewards, batch.played)
     with torch.no_grad():
         target_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time + 1, env, agent]
-    ends = (batch.played, batch.no_bootstrap)
-    returns = n_step_returns(rewards, target_values, *ends, args.gamma, args.n_step)
+    returns = n_step_returns(
+        rewards, target_values, batch.played, batch.no_bootstrap, args.gamma, args.n_step
+    )
 
     values = critic(critic_inputs[:-1])[0].squeeze(-1)  # [time, env, agent]
     advantages = returns - values.detach()
@@ -370,7 +372,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)
+    rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
     env = envs.make(args.env, args.num_envs, args.seed, copy=False)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)

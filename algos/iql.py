@@ -144,7 +144,7 @@ class MultiAgentNetwork(nn.Module):
         if n == 1:
             output, state = self.networks[0](x, hidden[0])
             return output, [state]
-        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # each agent's own
+        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # one for each agent
         outputs, states = zip(*(self.networks[i](views[i], hidden[i]) for i in range(n)))
         return torch.cat(outputs, dim=2), list(states)
 
@@ -208,7 +208,7 @@ class Batch(NamedTuple):
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
     played: Tensor  # [time, env], bool: False once the episode has ended
-    no_bootstrap: Tensor  # [time, env], bool: the state after this step counts for nothing
+    no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
 class EpsilonGreedyTeam:
@@ -340,7 +340,7 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
 
 
 def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
-    """Learns from a batch; `updates` counts from 1. Returns figures for the log."""
+    """Learns from a batch in update number `updates`, from 1 on. Returns figures for the log."""
     agents, target_agents = parts["agents"], parts["target_agents"]
     rewards = parts["standardiser"](batch.rewards, batch.played)
     q_values = agents(batch.observations)[0]  # [time + 1, env, agent, action]
@@ -364,7 +364,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)
+    rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
     env = envs.make(args.env, 1, args.seed, copy=False)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
