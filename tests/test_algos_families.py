@@ -1,0 +1,34 @@
+"""Every algorithm on every family of tasks, for a few updates."""
+
+import pytest
+import torch
+from scripts import INDIVIDUAL, NAMES, trained
+
+TASKS = ["matrix-climbing", "lbf-5x5-2p-1f"]  # one of each family, and what is special in it
+
+
+def few_updates(monkeypatch, name, task, sharing, **flags):
+    """Three batches of one or two episodes; every loss is finite, and the agents have learned something."""
+    flags |= {"hidden_dim": 8, "network": "gru", "reward_standardisation": "batch", "parameter_sharing": sharing}
+    flags |= {"batch_size": 2, "buffer_size": 4} if name in ("iql", "vdn", "qmix", "maddpg") else {"num_envs": 2}
+    start = trained(monkeypatch, name, 0, task, **flags).parts["agents"].state_dict()
+    run = trained(monkeypatch, name, 3, task, **flags)
+    assert run.updates == (2 if "batch_size" in flags else 3)
+    for figure, value in run.metrics.items():
+        assert torch.isfinite(value) or figure == "value/explained_variance", (task, figure)
+    assert any(not torch.equal(x, start[parameter]) for parameter, x in run.parts["agents"].state_dict().items())
+    return run
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("sharing", [True, False])
+def test_a_few_updates(monkeypatch, name, sharing):
+    for task in TASKS:
+        few_updates(monkeypatch, name, task, sharing)
+
+
+@pytest.mark.parametrize("name", INDIVIDUAL)
+def test_a_few_updates_of_opposing_teams(monkeypatch, name):
+    for task in [task for task in TASKS if task.endswith("-selfplay")]:
+        run = few_updates(monkeypatch, name, task, False, individual_rewards=True)
+        assert len(set(run.env.teams)) == 2
