@@ -2,6 +2,7 @@
 
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
+    rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
 
 A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
 form, or raises InputError where it has the form but no game can be played. `PARSERS` lists them.
@@ -53,6 +54,9 @@ PAPER_TASKS = (
     "lbf-15x15-3p-5f",
     "lbf-15x15-4p-3f",
     "lbf-15x15-4p-5f",
+    "rware-tiny-2p",
+    "rware-tiny-4p",
+    "rware-small-4p",
 )
 
 
@@ -136,4 +140,38 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-PARSERS = (parse_matrix, parse_lbf)
+WAREHOUSES = {"tiny": (11, 10, 32), "small": (20, 10, 80), "medium": (20, 16, 144), "large": (29, 16, 224)}
+
+
+def parse_rware(name: str) -> Task | None:
+    """A warehouse of one of four sizes: rows, columns and shelves as above."""
+    match = re.fullmatch(f"rware-(tiny|small|medium|large)-{NUMBER}p(?:-{NUMBER}s)?(?:-(easy|hard))?", name)
+    if match is None:
+        return None
+    rows, columns, n_shelves = WAREHOUSES[match[1]]
+    n_agents, sight = int(match[2]), int(match[3] or 1)
+    if not 1 <= n_agents <= 20:
+        raise InputError(f"{name}: a warehouse has 1 to 20 agents.")
+    if match[3] == "1":
+        raise InputError(f"{name}: agents sense one cell far unless the name says more; leave the -1s out.")
+    if not 1 <= sight <= 5:
+        raise InputError(f"{name}: agents sense 1 to 5 cells far.")
+    n_requests = {None: n_agents, "easy": 2 * n_agents, "hard": n_agents // 2}[match[4]]
+    if n_requests == 0:
+        raise InputError(f"{name}: half as many requests as agents are none here; -hard needs at least 2 agents.")
+    if n_requests >= n_shelves:
+        raise InputError(
+            f"{name}: {n_requests} requests leave none of the {n_shelves} shelves to be requested when one is delivered."
+        )
+    settings = {
+        "rows": rows,
+        "columns": columns,
+        "n_shelves": n_shelves,
+        "n_agents": n_agents,
+        "n_requests": n_requests,
+        "sight": sight,
+    }
+    return Task(name, "rware", 40_000_000, 4_000_000, 41, "rware", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_rware)
