@@ -23,8 +23,8 @@ from envs.kernels import random_below
 
 SHARE = 1 if os.environ.get("ENVS_FULL") == "1" else 10
 AGAINST_PACKAGE = {  # steps; the package needs milliseconds for a step of many agents
-    "rware-tiny-1p": 80_000,
-    "rware-tiny-2p": 140_000,
+    "rware-tiny-1p": 100_000,
+    "rware-tiny-2p": 120_000,
     "rware-tiny-2p-hard": 30_000,
     "rware-tiny-3p-5s-easy": 3_000,
     "rware-tiny-4p": 18_000,
@@ -537,7 +537,7 @@ def starts_of_the_package(number: int) -> list[tuple[list[list[int]], tuple[int,
     return found
 
 
-@pytest.mark.parametrize(("draw", "number"), [(starts, 50_000), (starts_of_the_package, 5_000)])
+@pytest.mark.parametrize(("draw", "number"), [(starts, 30_000), (starts_of_the_package, 5_000)])
 def test_starts(draw: Callable[[int], Any], number: int) -> None:
     found = draw(number)
     for i in range(2):
