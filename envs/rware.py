@@ -56,6 +56,7 @@ EPISODE_LIMIT = 500
 SHELVES_HIGH = 8  # rows of shelves in a block
 FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE_LOAD = 1, 2, 3, 4
 UP, DOWN, LEFT, RIGHT = 0, 1, 2, 3
+LEFT_OF, RIGHT_OF = (LEFT, RIGHT, DOWN, UP), (RIGHT, LEFT, UP, DOWN)  # of each direction
 NONE = -1  # no agent, no shelf
 OWN, SENSED = 8, 7  # values that an agent observes of itself, and of each cell
 
@@ -73,9 +74,9 @@ class State(NamedTuple):
     steps: NDArray[np.int64]  # [env]
     agent: NDArray[np.int64]  # [env, agent, (row, column, direction, shelf that it carries or NONE)]
     shelf: NDArray[np.int64]  # [env, shelf, (row, column, whether it is requested)]
-    cell: NDArray[np.int64]  # [env, row, column, (agent there, shelf there, agent that may come next)], each or NONE
-    sensed: NDArray[np.float32]  # [env, row, 7 values for each column] of cells; wider by the sight on each side
-    plan: NDArray[np.int64]  # [env, agent, (row and column it wants, agent it follows, queue it leads, whether it moves)]
+    cell: NDArray[np.int64]  # [env, row, column, (agent there, shelf there, agent that may come next)]; NONE: nothing
+    sensed: NDArray[np.float32]  # [env, row, column * 7 + value] what is observed of cells; r cells wider on each side
+    plan: NDArray[np.int64]  # [env, agent, (row it wants, column, agent it follows, queue it leads, whether it moves)]
     observations: NDArray[np.float32]  # [env, agent, value]
     agent_rewards: NDArray[np.float32]  # [env, agent]
     rewards: NDArray[np.float32]  # [env]
@@ -192,9 +193,9 @@ def plan_moves(state, config, e, actions):
             to_row = min(max(row + (direction == DOWN) - (direction == UP), 0), config.rows - 1)
             to_column = min(max(column + (direction == RIGHT) - (direction == LEFT), 0), config.columns - 1)
         other = cell[e, to_row, to_column, AGENT]
-        if agent[e, i, LOAD] >= 0 and other != i and cell[e, to_row, to_column, SHELF] >= 0:
-            if other < 0 or agent[e, other, LOAD] < 0:  # nobody carries the shelf there
-                to_row, to_column, other = row, column, i
+        standing_shelf = cell[e, to_row, to_column, SHELF] >= 0 and (other < 0 or agent[e, other, LOAD] < 0)
+        if agent[e, i, LOAD] >= 0 and standing_shelf:
+            to_row, to_column, other = row, column, i
         plan[e, i, ROW] = to_row
         plan[e, i, COLUMN] = to_column
         plan[e, i, AHEAD] = other if other != i else NONE
@@ -246,29 +247,25 @@ def act(state, config, e, actions):
             state.collisions[e] += 1
 
     for i in range(n_agents):
-        row, column, direction = plan[e, i, ROW], plan[e, i, COLUMN], agent[e, i, DIRECTION]
-        cell[e, row, column, NEXT] = NONE
-        action = actions[e, i]
+        cell[e, plan[e, i, ROW], plan[e, i, COLUMN], NEXT] = NONE
         s = agent[e, i, LOAD]
         if plan[e, i, MOVES] == 1:
-            agent[e, i, ROW] = row
-            agent[e, i, COLUMN] = column
-            put_agent(state, config, e, row, column, i)
+            agent[e, i, ROW] = plan[e, i, ROW]
+            agent[e, i, COLUMN] = plan[e, i, COLUMN]
             if s >= 0:
-                shelf[e, s, ROW] = row
-                shelf[e, s, COLUMN] = column
-                put_shelf(state, config, e, row, column, s)
-        elif action == TURN_LEFT or action == TURN_RIGHT:
-            if direction == UP or direction == DOWN:
-                agent[e, i, DIRECTION] = LEFT if (direction == UP) == (action == TURN_LEFT) else RIGHT
-            else:
-                agent[e, i, DIRECTION] = DOWN if (direction == LEFT) == (action == TURN_LEFT) else UP
-            put_agent(state, config, e, row, column, i)
-        elif action == TOGGLE_LOAD:
-            if s < 0:
-                agent[e, i, LOAD] = cell[e, row, column, SHELF]
-            elif not is_highway(config, row, column):
-                agent[e, i, LOAD] = NONE
+                shelf[e, s, ROW] = plan[e, i, ROW]
+                shelf[e, s, COLUMN] = plan[e, i, COLUMN]
+                put_shelf(state, config, e, shelf[e, s, ROW], shelf[e, s, COLUMN], s)
+        row, column = agent[e, i, ROW], agent[e, i, COLUMN]
+        if actions[e, i] == TURN_LEFT:
+            agent[e, i, DIRECTION] = LEFT_OF[agent[e, i, DIRECTION]]
+        elif actions[e, i] == TURN_RIGHT:
+            agent[e, i, DIRECTION] = RIGHT_OF[agent[e, i, DIRECTION]]
+        elif actions[e, i] == TOGGLE_LOAD and s < 0:
+            agent[e, i, LOAD] = cell[e, row, column, SHELF]
+        elif actions[e, i] == TOGGLE_LOAD and not is_highway(config, row, column):
+            agent[e, i, LOAD] = NONE
+        put_agent(state, config, e, row, column, i)
 
 
 @compiled
@@ -430,10 +427,10 @@ class Env(vector.VectorEnv):
         return step_all(*self._step_arguments, actions)
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
-        """The warehouse of one sub-environment: agents by number and colour, each with a tip that shows its direction.
+        """The warehouse of one sub-environment: agents by number and colour, each with a lamp in front.
 
-        Requested shelves are amber, the others brown. A shelf in a frame of an agent's colour is carried by it, an
-        agent on a shelf without one stands under it. The goals are green, dark where a shelf was delivered in this step.
+        Requested shelves are amber, the others brown. An agent carries the shelf that has a frame of its colour;
+        without a frame, it stands under the shelf. The goals have rings; a shelf delivered in this step is green.
         """
         from envs import render  # Pillow is needed only where something is drawn
 

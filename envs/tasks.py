@@ -161,7 +161,7 @@ def parse_rware(name: str) -> Task | None:
         raise InputError(f"{name}: half as many requests as agents are none here; -hard needs at least 2 agents.")
     if n_requests >= n_shelves:
         raise InputError(
-            f"{name}: {n_requests} requests leave none of the {n_shelves} shelves to be requested when one is delivered."
+            f"{name}: {n_requests} requests leave none of the {n_shelves} shelves to be requested after a delivery."
         )
     settings = {
         "rows": rows,

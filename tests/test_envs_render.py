@@ -83,9 +83,9 @@ def test_who_carries_and_what_is_delivered_is_seen() -> None:
         row, across, _, _ = game.agent[0, i]
         rware.put_agent(game, env.config, 0, row, across, -1)
         game.agent[0, i] = (9, 4, 1, -1) if i == 0 else (0, column, 1, -1)
-        rware.put_agent(game, env.config, 0, *game.agent[0, i, :2], i)
+        rware.put_agent(game, env.config, 0, game.agent[0, i, 0], game.agent[0, i, 1], i)
     s = requested[0]
-    rware.put_shelf(game, env.config, 0, *game.shelf[0, s, :2], -1)
+    rware.put_shelf(game, env.config, 0, game.shelf[0, s, 0], game.shelf[0, s, 1], -1)
     game.shelf[0, s, :2] = 9, 4
     rware.put_shelf(game, env.config, 0, 9, 4, s)
     before = env.frame(0)

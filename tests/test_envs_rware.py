@@ -6,15 +6,18 @@ By default a tenth of the steps are compared with the package; ENVS_FULL=1 compa
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections import Counter, deque
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-import networkx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rware import warehouse as package
 from rware.warehouse import Action, Direction, RewardType, Warehouse
 
 import envs
@@ -131,11 +134,11 @@ class OurDraws:
                 return shelf
 
 
-def choose_lowest_number(theirs: Warehouse, counts: Counter[str]) -> Callable[[networkx.DiGraph], Any]:
+def choose_lowest_number(theirs: Warehouse, counts: Counter[str]) -> Callable[[Any], Any]:
     """networkx's longest path, but where queues of one length meet the agent with the lowest number is on it."""
-    any_longest_path = networkx.algorithms.dag_longest_path
+    any_longest_path = package.nx.algorithms.dag_longest_path
 
-    def longest_path(cells: networkx.DiGraph) -> Any:
+    def longest_path(cells: Any) -> Any:
         def length(cell: Any) -> int:
             return 1 + max(map(length, cells.pred[cell]), default=0)
 
@@ -153,10 +156,10 @@ def choose_lowest_number(theirs: Warehouse, counts: Counter[str]) -> Callable[[n
     return longest_path
 
 
-def count_circles(counts: Counter[str]) -> Callable[[networkx.DiGraph], Any]:
-    find_cycle = networkx.algorithms.find_cycle
+def count_circles(counts: Counter[str]) -> Callable[[Any], Any]:
+    find_cycle = package.nx.algorithms.find_cycle
 
-    def counting(cells: networkx.DiGraph) -> Any:
+    def counting(cells: Any) -> Any:
         cycle = find_cycle(cells)
         counts["circles"] += len(cycle) > 2
         counts["swaps refused"] += len(cycle) == 2
@@ -165,7 +168,7 @@ def count_circles(counts: Counter[str]) -> Callable[[networkx.DiGraph], Any]:
     return counting
 
 
-@lru_cache(maxsize=None)
+@cache
 def distances(warehouse: str, to_row: int, to_column: int) -> NDArray[np.int64]:
     """Steps to a cell from each [row, column] on highways alone. warehouse: "." for each cell of a highway, by rows."""
     rows = warehouse.split()
@@ -209,9 +212,7 @@ def purposeful_action(theirs: Warehouse, agent: Any, warehouse: str) -> int:
     return TURN_LEFT if quarters == 3 else TURN_RIGHT
 
 
-def lively_actions(
-    theirs: Warehouse, warehouse: str, mood: int, rng: np.random.Generator
-) -> NDArray[np.int64]:
+def lively_actions(theirs: Warehouse, warehouse: str, mood: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Random actions, in mood 1 mostly forward, in the moods above it mostly purposeful."""
     actions = rng.integers(0, 5, theirs.n_agents)
     if mood == 1:
@@ -259,11 +260,11 @@ def step_both(env: rware.Env, theirs: Warehouse, actions: Any) -> bool:
 @pytest.mark.parametrize("name", AGAINST_PACKAGE)
 def test_every_step_equals_the_package(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make(name)
-    theirs, game = original(env), env.game
+    theirs = original(env)
     warehouse = "\n".join("".join(".x"[not highway] for highway in row) for row in theirs.highways)
     counts: Counter[str] = Counter()
-    monkeypatch.setattr(networkx.algorithms, "dag_longest_path", choose_lowest_number(theirs, counts))
-    monkeypatch.setattr(networkx.algorithms, "find_cycle", count_circles(counts))
+    monkeypatch.setattr(package.nx.algorithms, "dag_longest_path", choose_lowest_number(theirs, counts))
+    monkeypatch.setattr(package.nx.algorithms, "find_cycle", count_circles(counts))
     rng = np.random.default_rng(1)
     env.reset()
     mood = 2
@@ -303,14 +304,14 @@ def test_crowds_equal_the_package(loaded: bool, monkeypatch: pytest.MonkeyPatch)
     """Twenty agents in 24 cells, most of which want to go forward: circles, and queues that meet."""
     env = make("rware-tiny-20p")
     theirs, counts = original(env), Counter[str]()
-    monkeypatch.setattr(networkx.algorithms, "dag_longest_path", choose_lowest_number(theirs, counts))
-    monkeypatch.setattr(networkx.algorithms, "find_cycle", count_circles(counts))
+    monkeypatch.setattr(package.nx.algorithms, "dag_longest_path", choose_lowest_number(theirs, counts))
+    monkeypatch.setattr(package.nx.algorithms, "find_cycle", count_circles(counts))
     rng = np.random.default_rng(2)
     for _ in range(2_000 // SHARE):
         env.reset()
         shelves = env.game.shelf[0, :, :2].copy()
         free = [(row, column) for row in range(5, 11) for column in range(3, 7)]  # all of them highways
-        agents = [(*free[k], rng.integers(4)) for k in rng.permutation(len(free))[:20]]
+        agents = [(*free[k], int(rng.integers(4))) for k in rng.permutation(len(free))[:20]]
         loads = [i if loaded and rng.random() < 0.7 else -1 for i in range(20)]
         for i, load in enumerate(loads):
             if load >= 0:
@@ -386,7 +387,7 @@ def test_who_moves(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     agents, loads, letters, who = CASES[case]
     env = by_hand(agents, loads)
     theirs = original(env)
-    monkeypatch.setattr(networkx.algorithms, "dag_longest_path", choose_lowest_number(theirs, Counter()))
+    monkeypatch.setattr(package.nx.algorithms, "dag_longest_path", choose_lowest_number(theirs, Counter()))
     place_theirs(theirs, env)
     before = env.game.agent[0].copy()
     step_both(env, theirs, ["-flrt".index(letter) for letter in letters])
@@ -502,6 +503,33 @@ def test_an_episode_ends_at_step_500_and_stands_still() -> None:
     assert env.game.steps.tolist() == [500, 3, 500]
 
 
+def play(name: str) -> list[Any]:
+    """What two sub-environments report of an episode of random actions, mostly forward, the end and a reset included."""
+    env = make(name, 2, seed=5)
+    rng = np.random.default_rng(6)
+    observations, info = env.reset()
+    env.game.steps[:] = 450
+    found: list[Any] = []
+    for _ in range(60):
+        actions = np.where(rng.random((2, env.n_agents)) < 0.6, FORWARD, rng.integers(0, 5, (2, env.n_agents)))
+        observations, rewards, _, truncated, info = env.step(actions)
+        statistics = [values.tolist() for values in info["statistics"].values()]
+        found.append([float(observations @ np.arange(env.obs_size) @ [1, 2, 3] @ [1, 4]), rewards.tolist(), statistics])
+        if truncated.all():
+            env.reset()
+    return found
+
+
+def test_the_rules_are_the_same_without_the_compiler() -> None:
+    """In a process of its own, since the rules are compiled or not when they are imported."""
+    code = "import test_envs_rware as tests; print(tests.play('rware-tiny-3p-2s'))"
+    settings = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", code]
+    plain = subprocess.run(command, cwd=Path(__file__).parent, env=settings, capture_output=True, text=True)
+    assert plain.stderr == ""
+    assert plain.stdout == f"{play('rware-tiny-3p-2s')}\n"
+
+
 # ---------------------------------------------------------------------------------------------------------------------
 # The start of an episode, and the draws
 # ---------------------------------------------------------------------------------------------------------------------
@@ -515,16 +543,19 @@ def assert_uniform(counts: Counter[Any], values: int) -> None:
     assert abs(statistic - (values - 1)) < 5 * np.sqrt(2 * (values - 1)) + 5
 
 
-def starts(number: int) -> list[tuple[list[list[int]], tuple[int, ...]]]:
+Start = tuple[list[list[int]], tuple[int, ...]]
+
+
+def starts(number: int) -> list[Start]:
     """(row, column, direction) of two agents, and the requested shelves."""
     env = make("rware-tiny-2p", number, seed=8)
     env.reset()
     assert (env.game.agent[:, :, 3] == -1).all()
-    requested = [tuple(np.flatnonzero(shelves)) for shelves in env.game.shelf[:, :, 2]]
+    requested = [tuple(np.flatnonzero(shelves).tolist()) for shelves in env.game.shelf[:, :, 2]]
     return list(zip(env.game.agent[:, :, :3].tolist(), requested))
 
 
-def starts_of_the_package(number: int) -> list[tuple[list[list[int]], tuple[int, ...]]]:
+def starts_of_the_package(number: int) -> list[Start]:
     """The same of the package; without observations, which take most of its time."""
     theirs = original(make("rware-tiny-2p"))
     theirs._make_obs = lambda agent: None

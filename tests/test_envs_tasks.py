@@ -144,7 +144,7 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("rware-tiny-4p-hard-2s", "rware-tiny-4p"),
         ("rware-tiny-04p", "rware-tiny-4p"),
         ("rware-huge-4p", "rware-tiny-4p"),
-        ("", "matrix-"),
+        ("", "the nearest are"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
