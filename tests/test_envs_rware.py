@@ -504,7 +504,7 @@ def test_an_episode_ends_at_step_500_and_stands_still() -> None:
 
 
 def play(name: str) -> list[Any]:
-    """What two sub-environments report of an episode of random actions, mostly forward, the end and a reset included."""
+    """What two sub-environments report of random actions, mostly forward; an end and a reset are included."""
     env = make(name, 2, seed=5)
     rng = np.random.default_rng(6)
     observations, info = env.reset()
