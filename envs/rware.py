@@ -3,7 +3,7 @@
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
 
 n agents, 1 to 20; -<r>s: they sense 2 to 5 cells far instead of 1. There are n requests, 2 n with -easy, n // 2 with
--hard. The rules are those of the package rware 2.x, which the paper used.
+-hard; at least one, and fewer than shelves. The rules are those of the package rware 2.x, which are the paper's.
 
 The warehouse: blocks of shelves, 2 wide and 8 high, with highways one cell wide around them. The lowest row is a
 highway too, and the two cells in its middle are the goals. The two middle columns have no shelves in the lowest blocks.
@@ -13,7 +13,8 @@ highway too, and the two cells in its middle are the goals. The two middle colum
 An agent without a load walks under shelves; one that carries a shelf cannot enter a cell in which a shelf stands. A
 shelf can be put down in any cell without a shelf that is not a highway, so it need not go back to where it was. A
 request is fulfilled when its shelf, carried by an agent, is on a goal at the end of a step. Another shelf, drawn from
-those that are not requested, is then requested instead. At every moment the number of requests is the same.
+those that are not requested, is then requested instead, so that the number of requests stays the same. The left goal
+comes first; a shelf that waits on the right goal while it is drawn is delivered in the same step.
 
 Actions: 0 nothing, 1 forward, 2 turn left, 3 turn right, 4 load or unload. The mask always allows all; an action that
 cannot be done (forward into the wall or into a shelf while loaded, nothing to load, unload on a highway) is nothing.
@@ -23,7 +24,7 @@ do so only if that one leaves it in this step. Agents behind one another therefo
 a circle turn around as one; two that face each other cannot change places. Of several that want the same cell, a
 member of such a circle goes first, else the one with the longest queue behind it. Where the queues are of one length
 the original's choice is arbitrary (it depends on the order in which Python's sets and networkx visit the cells); here
-the agent with the lowest number goes. The same holds wherever queues meet.
+the agent with the lowest number goes, of those that want the cell. The same holds for a cell that a queue leaves.
 
 Observation of an agent, 8 + 7 (2 r + 1)^2 values (71 where r = 1):
     0 column, 1 row, counted from the top left corner; 2 whether it carries a shelf; 3-6 its direction, one of up, down,
@@ -36,7 +37,7 @@ Cells beyond the walls look like empty ones. State: the observations of all agen
 Reward of an agent: 1 for each request that it fulfils. The team's reward is the sum over the agents.
 End: step 500, a truncation. There is no termination.
 Statistics: "deliveries", the requests fulfilled in the episode; "collisions", how often an agent wanted to move and
-could not because of other agents (walls and shelves do not count).
+could not because of other agents (a wall or a shelf before it does not count).
 
 Start: agents in different cells, all cells alike (highways, goals, under shelves), in any direction, without a load;
 all shelves in their places; each set of requested shelves is as likely as any other.
@@ -117,7 +118,7 @@ def put_agent(state, config, e, row, column, i):
     state.cell[e, row, column, AGENT] = i
     direction = state.agent[e, i, DIRECTION] if i >= 0 else UP
     values = state.sensed[e, row + config.sight]
-    first = SENSED * (column + config.sight)
+    first = (column + config.sight) * SENSED
     values[first] = i >= 0
     values[first + 1] = direction == UP
     values[first + 2] = direction == DOWN
@@ -130,7 +131,7 @@ def put_shelf(state, config, e, row, column, s):
     """Let shelf s, or no shelf, be in a cell."""
     state.cell[e, row, column, SHELF] = s
     values = state.sensed[e, row + config.sight]
-    first = SENSED * (column + config.sight)
+    first = (column + config.sight) * SENSED
     values[first + 5] = s >= 0
     values[first + 6] = s >= 0 and state.shelf[e, s, REQUESTED] == 1
 
@@ -211,7 +212,7 @@ def decide_moves(state, e):
     for i in range(n_agents):  # go along the agents ahead, to the first in the queue or around a circle
         length = 1
         j = plan[e, i, AHEAD]
-        while j >= 0 and j != i and length <= n_agents:
+        while j >= 0 and j != i and length < n_agents:
             length += 1
             plan[e, j, QUEUE] = max(plan[e, j, QUEUE], length)
             j = plan[e, j, AHEAD]
@@ -313,7 +314,7 @@ def observe_env(state, config, e):
         observations[e, i, 7] = is_highway(config, row, column)
         k = OWN
         for r in range(row, row + side):  # `sensed` begins as many rows and columns outside the warehouse
-            for value in range(SENSED * column, SENSED * (column + side)):
+            for value in range(column * SENSED, (column + side) * SENSED):
                 observations[e, i, k] = sensed[e, r, value]
                 k += 1
 
@@ -384,6 +385,7 @@ class Env(vector.VectorEnv):
         n_requests: int,
         sight: int,
     ) -> None:
+        """sight: how many cells far an agent senses."""
         super().__init__(
             name,
             num_envs,

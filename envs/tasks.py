@@ -140,11 +140,16 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-WAREHOUSES = {"tiny": (11, 10, 32), "small": (20, 10, 80), "medium": (20, 16, 144), "large": (29, 16, 224)}
+WAREHOUSES = {
+    "tiny": (11, 10, 32),
+    "small": (20, 10, 80),
+    "medium": (20, 16, 144),
+    "large": (29, 16, 224),
+}  # rows, columns, shelves
 
 
 def parse_rware(name: str) -> Task | None:
-    """A warehouse of one of four sizes: rows, columns and shelves as above."""
+    """The multi-robot warehouse in one of its four sizes; the range of the sensors is named where it is not 1."""
     match = re.fullmatch(f"rware-(tiny|small|medium|large)-{NUMBER}p(?:-{NUMBER}s)?(?:-(easy|hard))?", name)
     if match is None:
         return None
