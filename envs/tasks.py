@@ -140,12 +140,8 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-WAREHOUSES = {
-    "tiny": (11, 10, 32),
-    "small": (20, 10, 80),
-    "medium": (20, 16, 144),
-    "large": (29, 16, 224),
-}  # rows, columns, shelves
+# Rows, columns, shelves
+WAREHOUSES = {"tiny": (11, 10, 32), "small": (20, 10, 80), "medium": (20, 16, 144), "large": (29, 16, 224)}
 
 
 def parse_rware(name: str) -> Task | None:
