@@ -52,8 +52,7 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
 
 def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
-    packages = {"lbf": lbforaging, "rware": rware}
-    build = packages.get(envs.task(name).module)
+    build = {"lbf": lbforaging, "rware": rware}.get(envs.task(name).module)
     if build is None:
         return None
     try:
@@ -62,8 +61,8 @@ def original(name: str) -> Callable[[], int] | None:
         print(error, file=sys.stderr)
         return None
     env.reset(seed=0)
-    env.action_space.seed(0)
-    prepared = itertools.cycle([env.action_space.sample() for _ in range(ACTIONS)])
+    n_agents, n_actions = len(env.action_space), env.action_space[0].n
+    prepared = itertools.cycle(np.random.default_rng(0).integers(0, n_actions, (ACTIONS, n_agents)).tolist())
 
     def play() -> int:
         env.reset()
