@@ -50,15 +50,12 @@ def make(name: str, num_envs: int = 1, **others: Any) -> rware.Env:
 
 
 def place(env: rware.Env, e: int, agents: Any, loads: Any, shelves: Any, requested: Any) -> None:
-    """Put one sub-environment into a given state.
+    """Put one sub-environment, which has just been reset, into a given state.
 
     agents: (row, column, direction) of each; loads: the shelf that each carries, or -1; shelves: (row, column) of each;
     requested: numbers of shelves.
     """
     game, config = env.game, env.config
-    game.steps[e] = 0
-    game.deliveries[e] = 0
-    game.collisions[e] = 0
     game.shelf[e, :, 2] = 0
     game.shelf[e, list(requested), 2] = 1
     for row in range(config.rows):
@@ -453,6 +450,7 @@ def test_a_delivery() -> None:
         assert not rewards.any() and not info["agent_rewards"].any()
     assert env.game.agent[0, 0, 3] == 7 and info["statistics"]["deliveries"].tolist() == [1]
     assert observations[0, 0, 8 + 7 * 4 + 5 :][:2].tolist() == [1, 0]  # a shelf, no longer requested
+    assert env.reset()[1]["statistics"]["deliveries"].tolist() == [0]
 
 
 def test_what_is_no_delivery() -> None:
