@@ -50,7 +50,7 @@ def make(name: str, num_envs: int = 1, **others: Any) -> rware.Env:
 
 
 def place(env: rware.Env, e: int, agents: Any, loads: Any, shelves: Any, requested: Any) -> None:
-    """Put one sub-environment, which has just been reset, into a given state.
+    """Put one sub-environment into a given state; its clock and its statistics go on.
 
     agents: (row, column, direction) of each; loads: the shelf that each carries, or -1; shelves: (row, column) of each;
     requested: numbers of shelves.
@@ -488,15 +488,21 @@ def test_an_episode_ends_at_step_500_and_stands_still() -> None:
     env = make("rware-tiny-2p", 3, copy=False)
     env.reset()
     rng = np.random.default_rng(0)
-    for step in range(1, 501):
-        observations, _, terminated, truncated, _ = env.step(rng.integers(0, 5, (3, 2)))
-        assert truncated.tolist() == [step == 500] * 3 and not terminated.any()
-    env.game.shelf[0, 0] = 10, 4, 1
+    for _ in range(499):
+        _, _, terminated, truncated, _ = env.step(rng.integers(0, 5, (3, 2)))
+        assert not truncated.any() and not terminated.any()
+    shelves = env.game.shelf[0, :, :2].copy()
+    shelves[7] = 9, 4
+    place(env, 0, [(9, 4, DOWN), (0, 0, UP)], [7, -1], shelves, [7, 3])
+    observations, rewards, terminated, truncated, info = env.step(np.full((3, 2), FORWARD))
+    assert truncated.all() and not terminated.any()
+    assert rewards[0] == info["agent_rewards"][0, 0] == 1
     last = observations.copy()
     env.reset(options={"reset_mask": np.array([False, True, False])})
     for _ in range(3):
-        observations, rewards, _, truncated, _ = env.step(np.full((3, 2), TURN_LEFT))
-        assert truncated.tolist() == [True, False, True] and not rewards.any()
+        observations, rewards, _, truncated, info = env.step(np.full((3, 2), TURN_LEFT))
+        assert truncated.tolist() == [True, False, True]
+        assert not rewards.any() and not info["agent_rewards"].any()
         np.testing.assert_array_equal(observations[[0, 2]], last[[0, 2]])
     assert env.game.steps.tolist() == [500, 3, 500]
 
