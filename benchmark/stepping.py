@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import re
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 import envs
 
 ACTIONS = 1000  # joint actions drawn beforehand
+DEFAULT_TASKS = ["matrix-climbing", "lbf-8x8-2p-2f-c", "lbf-15x15-3p-5f", "rware-tiny-4p"]
 
 
 def rate(play: Callable[[], int], seconds: float) -> float:
@@ -51,43 +52,68 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
 
 def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
-    match = re.fullmatch(r"lbf-(\d+)x(\d+)-(\d+)p-(\d+)f(-2s)?(-c)?(?:-v3)?", name)
-    if match is None:
+    build = {"lbf": lbforaging, "rware": rware}.get(envs.task(name).module)
+    if build is None:
         return None
     try:
-        package = envs.optional("lbforaging.foraging", "test")
+        env = build(name)
     except envs.InputError as error:
         print(error, file=sys.stderr)
         return None
-    rows, columns, players, foods = (int(match[i]) for i in range(1, 5))
-    env = package.ForagingEnv(
-        players=players,
+    env.reset(seed=0)
+    n_agents, n_actions = len(env.action_space), env.action_space[0].n
+    prepared = itertools.cycle(np.random.default_rng(0).integers(0, n_actions, (ACTIONS, n_agents)).tolist())
+
+    def play() -> int:
+        env.reset()
+        steps = 1
+        while not env.step(next(prepared))[2]:
+            steps += 1
+        return steps
+
+    return play
+
+
+def lbforaging(name: str) -> Any:
+    """The package's game of a name as in `envs.tasks`."""
+    package = envs.optional("lbforaging.foraging", "test")
+    config = envs.task(name).settings
+    return package.ForagingEnv(
+        players=config["n_agents"],
         min_player_level=1,
         max_player_level=2,
         min_food_level=1,
         max_food_level=None,
-        field_size=(rows, columns),
-        max_num_food=foods,
-        sight=2 if match[5] else max(rows, columns),
+        field_size=(config["rows"], config["columns"]),
+        max_num_food=config["n_foods"],
+        sight=config["sight"],
         max_episode_steps=50,
-        force_coop=match[6] is not None,
+        force_coop=config["cooperative"],
     )
-    env.reset(seed=0)
-    prepared = itertools.cycle(np.random.default_rng(0).integers(0, 6, (ACTIONS, players)).tolist())
 
-    def play() -> int:
-        env.reset()
-        while not env.step(next(prepared))[2]:
-            pass
-        return int(env.current_step)
 
-    return play
+def rware(name: str) -> Any:
+    """The package's game of a name as in `envs.tasks`."""
+    package = envs.optional("rware.warehouse", "test")
+    config = envs.task(name).settings
+    return package.Warehouse(
+        shelf_columns=(config["columns"] - 1) // 3,
+        column_height=8,
+        shelf_rows=(config["rows"] - 2) // 9,
+        n_agents=config["n_agents"],
+        msg_bits=0,
+        sensor_range=config["sight"],
+        request_queue_size=config["n_requests"],
+        max_inactivity_steps=None,
+        max_steps=500,
+        reward_type=package.RewardType.INDIVIDUAL,
+    )
 
 
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", default=["matrix-climbing", "lbf-8x8-2p-2f-c", "lbf-15x15-3p-5f"])
+    parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS)
     parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100])
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")
     parser.add_argument("--copy", action="store_true", help="measure with copy=True")

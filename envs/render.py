@@ -32,6 +32,9 @@ AGENTS: tuple[Colour, ...] = (  # dark enough for white text; colour-blind reade
     (80, 90, 105),
     (150, 130, 0),
 )
+FILM_STEPS = (
+    250  # a film shows so many steps, or one episode if that is longer: frames are kept in memory until the end
+)
 DETAIL = 4  # pictures are drawn this many times larger and then reduced, so that edges are smooth
 
 
@@ -122,11 +125,12 @@ class Team(Protocol):
 def film(env: VectorEnv, team: Team, path: str | os.PathLike[str], episodes: int = 5) -> None:
     """Play an episode in each sub-environment, and save the first few of them, one after the other, as a GIF.
 
+    episodes: at most so many are shown; fewer, but at least one, where they are long (see FILM_STEPS).
     Raises ValueError if the family has no pictures.
     """
     observations, info = env.reset()
     team.reset()
-    shown = range(min(episodes, env.num_envs))
+    shown = range(min(episodes, env.num_envs, max(FILM_STEPS // env.episode_limit, 1)))
     frames = [[env.frame(index)] for index in shown]
     ended = np.zeros(env.num_envs, bool)
     while not ended.all():

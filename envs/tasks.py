@@ -2,6 +2,7 @@
 
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
+    rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
 the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
@@ -54,6 +55,9 @@ PAPER_TASKS = (
     "lbf-15x15-3p-5f",
     "lbf-15x15-4p-3f",
     "lbf-15x15-4p-5f",
+    "rware-tiny-2p",
+    "rware-tiny-4p",
+    "rware-small-4p",
 )
 
 
@@ -217,4 +221,39 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-PARSERS = (parse_matrix, parse_lbf)
+# Rows, columns, shelves
+WAREHOUSES = {"tiny": (11, 10, 32), "small": (20, 10, 80), "medium": (20, 16, 144), "large": (29, 16, 224)}
+
+
+def parse_rware(name: str) -> Task | None:
+    """The multi-robot warehouse in one of its four sizes; the range of the sensors is named where it is not 1."""
+    match = re.fullmatch(f"rware-(tiny|small|medium|large)-{NUMBER}p(?:-{NUMBER}s)?(?:-(easy|hard))?", name)
+    if match is None:
+        return None
+    rows, columns, n_shelves = WAREHOUSES[match[1]]
+    n_agents, sight = int(match[2]), int(match[3] or 1)
+    if not 1 <= n_agents <= 20:
+        raise InputError(f"{name}: a warehouse has 1 to 20 agents.")
+    if match[3] == "1":
+        raise InputError(f"{name}: agents sense one cell far unless the name says more; leave the -1s out.")
+    if not 1 <= sight <= 5:
+        raise InputError(f"{name}: agents sense 1 to 5 cells far.")
+    n_requests = {None: n_agents, "easy": 2 * n_agents, "hard": n_agents // 2}[match[4]]
+    if n_requests == 0:
+        raise InputError(f"{name}: half as many requests as agents are none here; -hard needs at least 2 agents.")
+    if n_requests >= n_shelves:
+        raise InputError(
+            f"{name}: {n_requests} requests leave none of the {n_shelves} shelves to be requested after a delivery."
+        )
+    settings = {
+        "rows": rows,
+        "columns": columns,
+        "n_shelves": n_shelves,
+        "n_agents": n_agents,
+        "n_requests": n_requests,
+        "sight": sight,
+    }
+    return Task(name, "rware", 40_000_000, 4_000_000, 41, "rware", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_rware)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from scripts import INDIVIDUAL, NAMES, trained
 
-TASKS = ["matrix-climbing", "lbf-5x5-2p-1f"]  # one of each family, and what is special in it
+TASKS = ["matrix-climbing", "lbf-5x5-2p-1f", "rware-tiny-2p"]  # one of each family, and what is special in it
 
 
 def few_updates(monkeypatch, name, task, sharing, **flags):

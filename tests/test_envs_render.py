@@ -17,14 +17,24 @@ def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
     return int((np.abs(frame.astype(int) - colour).max(axis=2) < 3).sum())
 
 
-@pytest.mark.parametrize("name", ["lbf-5x5-2p-1f", "lbf-6x9-3p-2f-2s", "lbf-20x20-9p-5f-c-v3", "lbf-100x100-2p-1f"])
+DRAWN = (
+    "lbf-5x5-2p-1f",
+    "lbf-6x9-3p-2f-2s",
+    "lbf-20x20-9p-5f-c-v3",
+    "lbf-100x100-2p-1f",
+    "rware-tiny-2p",
+    "rware-large-20p",
+)
+
+
+@pytest.mark.parametrize("name", DRAWN)
 def test_frames_of_an_episode(name: str) -> None:
     env = envs.make(name, 2, seed=1)
     env.reset()
     assert env.can_draw
     frames = [env.frame(index=1)]
     for _ in range(6):
-        env.step(np.random.default_rng(0).integers(0, 6, (2, env.n_agents)))
+        env.step(np.random.default_rng(0).integers(0, env.n_actions, (2, env.n_agents)))
         frames.append(env.frame(index=1))
     assert {(frame.dtype, frame.shape) for frame in frames} == {(np.dtype(np.uint8), frames[0].shape)}
     assert frames[0].ndim == 3 and frames[0].shape[2] == 3
@@ -59,6 +69,38 @@ def test_agents_on_one_cell_are_both_seen() -> None:
     env.game.agent[0] = [(1, 1, 1), (1, 1, 2)]
     frame = env.frame(0)
     assert near(frame, render.AGENTS[0]) > 100 and near(frame, render.AGENTS[1]) > 100
+
+
+def test_who_carries_and_what_is_delivered_is_seen() -> None:
+    from envs import render, rware
+
+    env = envs.make("rware-tiny-2p", seed=1)
+    assert isinstance(env, rware.Env)
+    env.reset()
+    game = env.game
+    requested = np.flatnonzero(game.shelf[0, :, 2])
+    for i, column in enumerate((3, 6)):  # agent 0 stands under a requested shelf above the goals, agent 1 elsewhere
+        row, across, _, _ = game.agent[0, i]
+        rware.put_agent(game, env.config, 0, row, across, -1)
+        game.agent[0, i] = (9, 4, 1, -1) if i == 0 else (0, column, 1, -1)
+        rware.put_agent(game, env.config, 0, game.agent[0, i, 0], game.agent[0, i, 1], i)
+    s = requested[0]
+    rware.put_shelf(game, env.config, 0, game.shelf[0, s, 0], game.shelf[0, s, 1], -1)
+    game.shelf[0, s, :2] = 9, 4
+    rware.put_shelf(game, env.config, 0, 9, 4, s)
+    before = env.frame(0)
+    env.step([[4, 0]])
+    carried = env.frame(0)
+    assert near(carried, render.AGENTS[0]) > 1.3 * near(before, render.AGENTS[0])  # the frame around its shelf
+    assert near(carried, render.AGENTS[1]) == near(before, render.AGENTS[1])
+    env.step([[1, 0]])
+    assert env.rewards[0] == 1
+    delivered = env.frame(0)
+    assert near(delivered, rware.DELIVERED) > near(carried, rware.DELIVERED) + 200
+    env.step([[0, 2]])
+    afterwards = env.frame(0)
+    assert near(afterwards, rware.DELIVERED) < near(carried, rware.DELIVERED)  # agent and shelf hide a goal
+    assert (afterwards != delivered).any()
 
 
 def test_films(tmp_path: Path) -> None:

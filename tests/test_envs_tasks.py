@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import os
 import subprocess
 import sys
@@ -17,12 +18,16 @@ import envs
 from envs import tasks
 from envs.tasks import names_here, room_for_foods
 
-PAPER = {"matrix": ("matrix", 2_500_000, 250_000, 101), "lbf": ("lbf", 20_000_000, 2_000_000, 41)}
+PAPER = {
+    "matrix": ("matrix", 2_500_000, 250_000, 101),
+    "lbf": ("lbf", 20_000_000, 2_000_000, 41),
+    "rware": ("rware", 40_000_000, 4_000_000, 41),
+}
 
 
 def test_the_papers_tasks() -> None:
     names = envs.task_names()
-    assert len(names) == len(set(names)) == 13
+    assert len(names) == len(set(names)) == 16
     for name in names:
         task = envs.task(name)
         assert task.name == name
@@ -33,8 +38,9 @@ def test_the_papers_tasks() -> None:
 def test_names_of_the_papers_table_of_results() -> None:
     table = Path(__file__).parents[1] / "benchmark" / "paper" / "returns.csv"
     with table.open() as lines:
-        printed = {line["task"] for line in csv.DictReader(lines) if line["task"].startswith(("lbf-", "matrix-"))}
-    assert printed == {name for name in envs.task_names() if name.startswith(("lbf-", "matrix-"))}
+        printed = {line["task"] for line in csv.DictReader(lines)}
+    families = tuple(PAPER)
+    assert {name for name in printed if name.startswith(families)} == set(envs.task_names())
 
 
 @given(
@@ -64,6 +70,28 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
     env.step(np.zeros((2, agents), int))
 
 
+@pytest.mark.parametrize("size", ["tiny", "small", "medium", "large"])
+@pytest.mark.parametrize("agents", range(22))
+def test_every_warehouse_is_played_or_refused(size: str, agents: int) -> None:
+    shelves = {"tiny": 32, "small": 80, "medium": 144, "large": 224}[size]
+    for sight, difficulty in itertools.product(["", "-2s", "-5s"], ["", "-easy", "-hard"]):
+        name = f"rware-{size}-{agents}p{sight}{difficulty}"
+        requests = {"": agents, "-easy": 2 * agents, "-hard": agents // 2}[difficulty]
+        try:
+            task = envs.task(name)
+        except envs.InputError as error:
+            assert str(error).startswith(f"{name}: ") and str(error).endswith(".")
+            assert not 1 <= agents <= 20 or not 1 <= requests < shelves
+            continue
+        assert task.name == name and 1 <= agents <= 20 and 1 <= requests < shelves
+        assert task.settings["n_requests"] == requests
+        env = envs.make(name)
+        observations, _ = env.reset()
+        cells = {"": 9, "-2s": 25, "-5s": 121}[sight]
+        assert (env.n_agents, env.obs_size, env.n_actions, env.episode_limit) == (agents, 8 + 7 * cells, 5, 500)
+        assert env.observation_space.contains(observations)
+
+
 @pytest.mark.parametrize(
     ("name", "why"),
     [
@@ -77,6 +105,14 @@ def test_every_size_is_played_or_refused(rows: int, columns: int, agents: int, f
         ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with at most 2 of them, not 4"),
         ("lbf-99999999x8-2p-2f", r"longer than 2\^24"),
         ("matrix-penalty-99999999", r"larger than 2\^24"),
+        ("rware-tiny-0p", "1 to 20 agents"),
+        ("rware-large-21p", "1 to 20 agents"),
+        ("rware-tiny-1p-hard", "needs at least 2 agents"),
+        ("rware-tiny-16p-easy", "32 requests leave none of the 32 shelves"),
+        ("rware-tiny-20p-2s-easy", "40 requests leave none of the 32 shelves"),
+        ("rware-tiny-2p-1s", "leave the -1s out"),
+        ("rware-tiny-2p-0s", "1 to 5 cells"),
+        ("rware-tiny-2p-6s-hard", "1 to 5 cells"),
     ],
 )
 def test_impossible_sizes(name: str, why: str) -> None:
@@ -106,6 +142,10 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("matrix-penalty--25", "matrix-penalty-25"),
         ("matrix-penalty-025", "matrix-penalty-25"),
         ("LBF-15X15-3P-5F", "lbf-15x15-3p-5f"),
+        ("rware-tiny-4ag", "rware-tiny-4p"),
+        ("rware-tiny-4p-hard-2s", "rware-tiny-4p"),
+        ("rware-tiny-04p", "rware-tiny-4p"),
+        ("rware-huge-4p", "rware-tiny-4p"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import envs
 
-TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3")
+TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")
 
 
 class Counting(envs.VectorEnv):
