@@ -8,12 +8,12 @@ TASKS = ["matrix-climbing", "lbf-5x5-2p-1f", "rware-tiny-2p"]  # one of each fam
 
 
 def few_updates(monkeypatch, name, task, sharing, **flags):
-    """Three batches of one or two episodes; every loss is finite, and the agents have learned something."""
+    """Two batches of one or two episodes; all figures are finite, and the agents have learned something."""
     flags |= {"hidden_dim": 8, "network": "gru", "reward_standardisation": "batch", "parameter_sharing": sharing}
-    flags |= {"batch_size": 2, "buffer_size": 4} if name in ("iql", "vdn", "qmix", "maddpg") else {"num_envs": 2}
+    flags |= {"batch_size": 1, "buffer_size": 4} if name in ("iql", "vdn", "qmix", "maddpg") else {"num_envs": 2}
     start = trained(monkeypatch, name, 0, task, **flags).parts["agents"].state_dict()
-    run = trained(monkeypatch, name, 3, task, **flags)
-    assert run.updates == (2 if "batch_size" in flags else 3)
+    run = trained(monkeypatch, name, 2, task, **flags)
+    assert run.updates == 2
     for figure, value in run.metrics.items():
         assert torch.isfinite(value) or figure == "value/explained_variance", (task, figure)
     assert any(not torch.equal(x, start[parameter]) for parameter, x in run.parts["agents"].state_dict().items())
