@@ -517,8 +517,9 @@ def decomposition_rware(view: View) -> Verdict:
 def judge(cells: pd.DataFrame) -> list[Verdict]:
     """The verdict on each of CLAIMS in these cells."""
     verdicts = []
+    view = View(cells)
     for _, _, function in CLAIMS:
-        view = View(cells)
+        view.few_seeds = False
         try:
             verdict = function(view)
         except NotMeasured:

@@ -42,8 +42,9 @@ LINES: dict[str, Any] = {name: (0, (5, 2)) for name in ("iql", "vdn", "qmix")} |
 }
 SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
 DOTS_PER_INCH = 110
-PNG_COLOURS = 128
-NARROWEST = 7.0  # inches, so that the legend has room
+PNG_COLOURS = 64
+LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
+NARROWEST = 8.5  # inches, so that the legend has room
 
 plt.rcParams.update(
     {
@@ -62,13 +63,15 @@ plt.rcParams.update(
 def save(figure: Figure, path: Path, source: str) -> None:
     """Writes path.svg and path.png, the PNG with few colours, since it is kept in the repository, and with `source`,
     what it was drawn from, in its metadata."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the panels have their places now; saving would compute them again
     figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
     figure.savefig(path.with_suffix(".png"), dpi=DOTS_PER_INCH)
     plt.close(figure)
     noted = PngImagePlugin.PngInfo()
     noted.add_text("Source", source)
     with Image.open(path.with_suffix(".png")) as image:
-        small = image.convert("RGB").quantize(PNG_COLOURS, dither=Image.Dither.NONE)
+        small = image.convert("RGB").quantize(PNG_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     small.save(path.with_suffix(".png"), optimize=True, pnginfo=noted)
 
 
@@ -90,7 +93,8 @@ def panels(number: int, columns: int, x: str, y: str, share_y: bool = False) -> 
 
 def legend(figure: Figure, algorithms: Any) -> None:
     """One legend below all panels."""
-    present = [name for name in ALGORITHMS if name in set(algorithms)]
+    drawn = set(algorithms)
+    present = [name for name in ALGORITHMS if name in drawn]
     handles = [Line2D([], [], color=COLOURS[name], linestyle=LINES.get(name, "-"), lw=2) for name in present]
     figure.legend(
         handles,
@@ -110,15 +114,23 @@ def curve(axes: Axes, algorithm: str, x: Any, mean: Any, spread: Any) -> None:
 
 
 def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataFrame]]:
-    """For each algorithm, by its points: x (the share of the paper's budget), mean and interval over the rows."""
+    """For each algorithm, by its points: x (the share of the paper's budget), mean and interval.
+
+    The mean of the tasks' means over seeds; its interval comes from those of the tasks, as of independent means, and is
+    missing where a task has a single seed.
+    """
+    rows = rows.assign(x=rows["timestep"] / rows["paper_timesteps"])
+    by_task = rows.groupby(["algorithm", "point", "task"]).agg(
+        x=("x", "mean"), mean=(column, "mean"), std=(column, "std"), count=(column, "count")
+    )
+    by_task["square"] = interval(by_task["std"], by_task["count"]) ** 2
+    points = by_task.groupby(level=["algorithm", "point"])
+    curves = points[["x", "mean"]].mean()
+    known = points["square"].count() == points.size()
+    curves["interval"] = (np.sqrt(points["square"].sum()) / points.size()).where(known)
     for algorithm in ALGORITHMS:
-        own = rows[rows["algorithm"] == algorithm]
-        if own.empty:
-            continue
-        points = own.assign(x=own["timestep"] / own["paper_timesteps"]).groupby("point")
-        statistics = points[column].agg(["mean", "std", "count"])
-        spread = interval(statistics["std"], statistics["count"]).fillna(0.0)
-        yield algorithm, pd.DataFrame({"x": points["x"].mean(), "mean": statistics["mean"], "interval": spread})
+        if algorithm in curves.index:
+            yield algorithm, curves.loc[algorithm]
 
 
 def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Figure:
@@ -130,13 +142,18 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
         for algorithm, line in mean_curves(chosen[chosen["task"] == task], "return_mean"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
         panel.set_title(task)
+        panel.set_xlim(-0.02, 1.02)
+        if family == "matrix" and panel.get_ylim()[0] < -LINEAR:
+            panel.set_yscale("symlog", linthresh=LINEAR)
+            panel.set_yticks([-2000, -LINEAR, 0, LINEAR], minor=False)
+            panel.yaxis.set_major_formatter("{x:g}")
     figure.suptitle(f"{FAMILIES.get(family, 'Other tasks')}, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
     return figure
 
 
 def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
-    """Normalised returns over training, a panel for each family: means over tasks and seeds with 95 % intervals."""
+    """Normalised returns over training, a panel for each family: means over tasks with 95 % intervals."""
     chosen = normalised[normalised["sharing"] == sharing]
     families = [family for family in FAMILIES if (chosen["family"] == family).any()]
     figure, axes = panels(len(families), 3, "share of the paper's timesteps", "normalised return")
@@ -145,10 +162,8 @@ def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
         for algorithm, line in mean_curves(rows, "normalised"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
         numbers = rows.groupby("algorithm")["task"].nunique()
-        tasks = (
-            f"{numbers.min()} to {numbers.max()} tasks" if numbers.min() < numbers.max() else f"{numbers.max()} tasks"
-        )
-        panel.set_title(f"{FAMILIES[family]} ({tasks})")
+        fewest = f"{numbers.min()} to " if numbers.min() < numbers.max() else ""
+        panel.set_title(f"{FAMILIES[family]} (tasks: {fewest}{numbers.max()})")
         panel.set_ylim(-0.02, 1.02)
     figure.suptitle(f"Normalised returns, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
