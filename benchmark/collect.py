@@ -18,13 +18,19 @@ from typing import Any
 import filelock
 import pandas as pd
 
-from results import RESULTS, read_settings, read_table, table_path, write_whole
+from results import RESULTS, read_settings, table_path, write_whole
 
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
 NOT_COMPLETE = "it is not complete"
+DAMAGED = "its evaluations.csv is damaged"
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
 SECONDS = ["wall_seconds", "cpu_seconds"]
 ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "preloaded")
+
+
+def read_text(path: Path) -> pd.DataFrame:
+    """A CSV whose values stay the text that they are, so that no digit changes."""
+    return pd.read_csv(path, dtype=str, keep_default_na=False)
 
 
 def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
@@ -37,14 +43,15 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     if missing:
         raise ValueError(f"its config.json does not have {', '.join(missing)}, as those of older versions")
     path = directory / "evaluations.csv"
-    rows = pd.read_csv(path, float_precision="round_trip") if path.exists() and path.stat().st_size else pd.DataFrame()
+    rows = read_text(path) if path.exists() and path.stat().st_size else pd.DataFrame()
     if rows.empty:
         raise ValueError(NOT_COMPLETE)
-    if not set(COLUMNS) <= set(rows.columns) or rows[COLUMNS].apply(pd.to_numeric, errors="coerce").isna().any(
-        axis=None
-    ):
-        raise ValueError("its evaluations.csv is damaged")
-    if rows["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
+    if not set(COLUMNS) <= set(rows.columns):
+        raise ValueError(DAMAGED)
+    numbers = rows[COLUMNS].apply(pd.to_numeric, errors="coerce")
+    if numbers.isna().any(axis=None):
+        raise ValueError(DAMAGED)
+    if numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
         raise ValueError(NOT_COMPLETE)
     return config, rows
 
@@ -54,7 +61,7 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
 
     Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
     """
-    seed = config["flags"]["seed"]
+    seed = str(config["flags"]["seed"])
     flags = {name: value for name, value in config["flags"].items() if name not in PER_RUN}
     known = settings.get("flags", {})
     different = sorted(name for name in known.keys() & flags.keys() if known[name] != flags[name])
@@ -70,15 +77,16 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
     last = rows.iloc[-1]
     origin = {name: config.get(name) for name in ORIGIN}
     origin |= {name: round(float(last[name]), 1) for name in SECONDS}
-    seeds = settings["seeds"] | {str(seed): origin}
+    seeds = settings["seeds"] | {seed: origin}
     settings["algorithm"] = config["algorithm"]
     settings["flags"] = known | flags
     settings["changed"] = config["changed"]
     settings["paper_timesteps"] = config["paper_timesteps"]
     settings["seeds"] = {name: seeds[name] for name in sorted(seeds, key=int)}
-    rows = rows.assign(seed=seed, **{name: rows[name].round(1) for name in SECONDS})
+    rows = rows.assign(**{name: [f"{float(value):.1f}" for value in rows[name]] for name in SECONDS})
+    rows.insert(0, "seed", seed)
     both = pd.concat([others, rows]) if len(others) else rows
-    return both[["seed", *both.columns.drop("seed")]].sort_values(["seed", "point"])
+    return both.sort_values(["seed", "point"], key=pd.to_numeric)
 
 
 def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False) -> Path:
@@ -94,10 +102,13 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
     results.mkdir(parents=True, exist_ok=True)
     with filelock.FileLock(results / ".lock"):
         settings = read_settings(path)
-        table = read_table(path, settings)
+        table = pd.DataFrame()
+        if settings["seeds"]:
+            table = read_text(table_file)
+            table = table[table["seed"].isin(settings["seeds"].keys())]
         seed = str(flags["seed"])
         if seed in settings["seeds"] and not replace:
-            there = table.loc[table["seed"] == flags["seed"], "return_mean"]
+            there = table.loc[table["seed"] == seed, "return_mean"]
             if list(there) != list(rows["return_mean"]):
                 origin = settings["seeds"][seed]["commit"]
                 raise ValueError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")

@@ -78,10 +78,10 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
-    """A table's evaluations of the seeds that its settings list, every digit as it stands; path without its suffix."""
+    """A table's evaluations of the seeds that its settings list; path without its suffix."""
     if not settings["seeds"]:
         return pd.DataFrame()
-    table = pd.read_csv(f"{path}.csv", float_precision="round_trip")
+    table = pd.read_csv(f"{path}.csv")
     return table[table["seed"].isin([int(seed) for seed in settings["seeds"]])]
 
 
