@@ -187,6 +187,7 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
             alpha=1.0 if whose == "ours" else 0.45,
             label=f"{whose}, {SHARING[sharing]}",
         )
+    figure.suptitle("Maximum returns with and without parameter sharing")
     pairs = sides["ours"].xs(True, level="sharing").reindex(families)["count"]
     panel.set_xticks(place, [f"{FAMILIES[family]}\n({count:.0f} pairs)" for family, count in zip(families, pairs)])
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
@@ -209,6 +210,7 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
         panel.yaxis.set_major_formatter("{x:g}")
         panel.set_xticks(range(len(ALGORITHMS)), [name.upper() for name in ALGORITHMS], rotation=60)
         panel.set_title(FAMILIES[family])
+    figure.suptitle("CPU hours of one training run")
     handles: list[Artist] = [Patch(color="black", label=SHARING[True])]
     handles.append(Patch(color="black", alpha=0.45, label=SHARING[False]))
     handles.append(Line2D([], [], color="black", lw=1, linestyle="--", label="the paper's mean over all its runs"))
@@ -228,6 +230,7 @@ def simulation_speed(speeds: pd.DataFrame) -> Figure:
         shift = width * (number - (len(whose) - 1) / 2)
         colour = plt.get_cmap("cividis")(number / max(1, len(whose) - 1))
         panel.bar(np.arange(len(families)) + shift, means, 0.9 * width, color=colour, label=name)
+    figure.suptitle("Simulation speed on one core, random actions")
     panel.set_yscale("log")
     panel.set_xticks(range(len(families)), [FAMILIES[family] for family in families])
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
