@@ -218,6 +218,11 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
     return figure
 
 
+def rounded(number: float) -> str:
+    """A number with two digits that count; nothing for none."""
+    return "" if np.isnan(number) else f"{float(f'{number:.2g}'):,.0f}"
+
+
 def simulation_speed(speeds: pd.DataFrame) -> Figure:
     """Steps per second by family; speeds from `results.speeds`. Geometric means over the tasks that were measured."""
     families = [family for family in FAMILIES if (speeds["family"] == family).any()]
@@ -229,11 +234,13 @@ def simulation_speed(speeds: pd.DataFrame) -> Figure:
         means = np.exp(logs.groupby("family").mean()).reindex(families)
         shift = width * (number - (len(whose) - 1) / 2)
         colour = plt.get_cmap("cividis")(number / max(1, len(whose) - 1))
-        panel.bar(np.arange(len(families)) + shift, means, 0.9 * width, color=colour, label=name)
+        bars = panel.bar(np.arange(len(families)) + shift, means, 0.9 * width, color=colour, label=name)
+        panel.bar_label(bars, fmt=rounded, fontsize=7)
     figure.suptitle("Simulation speed on one core, random actions")
     panel.set_yscale("log")
+    panel.set_ylim(bottom=speeds["steps_per_second"].min() / 5)
     panel.set_xticks(range(len(families)), [FAMILIES[family] for family in families])
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False)
     return figure
 
 

@@ -129,7 +129,8 @@ class Report:
             cells = []
             for name in families:
                 tasks = list(scores[name].get((algorithm, sharing), {}).values())
-                cells.append(score_text(tasks) if tasks else "")
+                numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
+                cells.append(score_text(aggregate.interquartile_mean, tasks) + numbers if tasks else "")
             if any(cells):
                 body.append([algorithm.upper(), *cells])
         return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
@@ -147,12 +148,8 @@ class Report:
                 if other == name or not common:
                     cells.append("")
                     continue
-                values = aggregate.with_interval(
-                    aggregate.probability_of_improvement,
-                    [ours[task] for task in common],
-                    [theirs[task] for task in common],
-                )
-                cells.append("{:.2f} [{:.2f}, {:.2f}]".format(*values))
+                pair = [ours[task] for task in common], [theirs[task] for task in common]
+                cells.append(score_text(aggregate.probability_of_improvement, *pair))
             body.append([name.upper(), *cells])
         return tables.to_markdown(["", *map(str.upper, present)], body) if body else ""
 
@@ -258,11 +255,11 @@ def paragraphs(parts: list[str]) -> str:
     return "\n\n".join(filled)
 
 
-def score_text(tasks: list[np.ndarray]) -> str:
-    """The interquartile mean of some tasks' scores as text."""
-    mean, low, high = aggregate.with_interval(aggregate.interquartile_mean, tasks)
-    bounds = f" [{low:.2f}, {high:.2f}]" if min(map(len, tasks)) > 1 else ""
-    return f"{mean:.2f}{bounds} ({len(tasks)}, {sum(map(len, tasks))})"
+def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> str:
+    """A measure of one or two teams' scores, with its interval where all tasks have several seeds."""
+    value, low, high = aggregate.with_interval(measure, *teams)
+    several = all(len(seeds) > 1 for team in teams for seeds in team)
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]" if several else f"{value:.2f}"
 
 
 def digest(results: Path) -> str:

@@ -183,7 +183,8 @@ def speeds(results: Path = RESULTS) -> pd.DataFrame:
     paper = pd.read_csv(PAPER / "env_speed.csv")
     paper = paper.assign(whose="the paper", steps_per_second=10_000 / paper["seconds_per_10000_steps"])
     paper = paper[paper["task"].isin(measured["task"].map(paper_task))]
-    both = pd.concat([paper, measured])[["task", "whose", "steps_per_second"]]
+    is_ours = measured["whose"].str.startswith("ours")
+    both = pd.concat([paper, measured[~is_ours], measured[is_ours]])[["task", "whose", "steps_per_second"]]
     return both.assign(family=both["task"].map(family))
 
 
