@@ -19,12 +19,12 @@ from typing import Any
 
 import pandas as pd
 
-from results import ALGORITHMS, FAMILIES, PAPER_SEEDS, family, paper_returns
+from results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_returns
 from tables import same_mean
 
 HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured yet"
 TASKS = tuple(dict.fromkeys(paper_returns()["task"]))
-MATRIX, MPE, SMAC, LBF, RWARE = (tuple(task for task in TASKS if family(task) == name) for name in FAMILIES)
+MATRIX, MPE, SMAC, LBF, RWARE = (tuple(task for task in TASKS if family(task) == name) for name in PAPER_FAMILIES)
 HARD_SMAC = ("smac-corridor", "smac-MMM2")
 LARGE_LBF = ("lbf-15x15-3p-5f", "lbf-15x15-4p-3f", "lbf-15x15-4p-5f")
 SMALL_LBF = tuple(task for task in LBF if task not in LARGE_LBF)
@@ -409,7 +409,7 @@ def sharing_by_family(view: View) -> Verdict:
         shared, alone = sharing_means(view, [task for task in TASKS if family(task) == name])
         return (shared <= alone) if name == "matrix" else (shared > alone), f"{shared:.2f} with, {alone:.2f} without"
 
-    return among(FAMILIES, test, unit="families")
+    return among(PAPER_FAMILIES, test, unit="families")
 
 
 def sharing_means(view: View, tasks: Iterable[str]) -> tuple[float, float]:

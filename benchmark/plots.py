@@ -147,7 +147,7 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
             panel.set_yscale("symlog", linthresh=LINEAR)
             panel.set_yticks([-2000, -LINEAR, 0, LINEAR], minor=False)
             panel.yaxis.set_major_formatter("{x:g}")
-    figure.suptitle(f"{FAMILIES.get(family, 'Other tasks')}, {SHARING[sharing]}")
+    figure.suptitle(f"{FAMILIES[family]}, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
     return figure
 

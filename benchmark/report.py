@@ -67,7 +67,7 @@ class Report:
     def figures(self) -> dict[str, Callable[[], Figure]]:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
-        for family in (*FAMILIES, "other"):
+        for family in FAMILIES:
             for sharing, name in FILE.items():
                 if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
                     made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
@@ -267,7 +267,7 @@ def digest(results: Path) -> str:
     found = hashlib.sha256()
     for path in sorted(results.glob("**/*.csv")) + sorted(results.glob("*/*.json")):
         found.update(path.relative_to(results).as_posix().encode())
-        found.update(path.read_text().encode())  # as text: line ends depend on the checkout
+        found.update(path.read_text(encoding="utf-8").encode())  # as text: line ends depend on the checkout
     return found.hexdigest()
 
 
