@@ -28,7 +28,7 @@ from tables import in_order
 
 COLOURS = {
     "iql": "#999933",
-    "vdn": "#DDAA33",
+    "vdn": "#DDCC77",
     "qmix": "#117733",
     "ia2c": "#88CCEE",
     "maa2c": "#332288",
@@ -183,7 +183,7 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
             rows["mean"],
             0.18,
             yerr=rows["error"],
-            color="#332288" if sharing else "#DDAA33",
+            color="#332288" if sharing else "#DDCC77",
             alpha=1.0 if whose == "ours" else 0.45,
             label=f"{whose}, {SHARING[sharing]}",
         )
