@@ -220,7 +220,7 @@ class Report:
             parts += ["### CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
             parts += ["### Simulation speed, environment steps per second on one core", self.speed_table()]
-        parts += ["### The paper's claims", self.claims_table()]
+        parts += ["### The paper's claims", CLAIMS_WORDS, self.claims_table()]
         return paragraphs(parts)
 
     def short(self) -> str:
@@ -245,6 +245,12 @@ there at any time. Interquartile mean: the mean of the middle half of the runs. 
 a run of the line's algorithm is above one of the column's on the same task, over the tasks that both have. In square
 brackets 95 % intervals from 2,000 bootstrap samples, drawn task by task; in round ones tasks and runs. Algorithms that
 were run on different tasks do not compare in the first table."""
+
+
+CLAIMS_WORDS = """\
+Of the paper's sections 5 and 6, by maximum returns with sharing unless a sentence says otherwise. The head of
+[claims.py](claims.py) says what "significantly", "similar", "competitive" and "majority" mean here. By these meanings
+some of the sentences do not hold in the paper's own tables."""
 
 
 def paragraphs(parts: list[str]) -> str:

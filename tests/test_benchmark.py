@@ -380,7 +380,11 @@ def test_parameter_sharing_helps_everywhere_but_in_the_matrix_games_of_the_paper
     means = aggregate.sharing_means(results.paper_cells())["mean"].unstack()
     better = {name for name in means.index if means.loc[name, True] > means.loc[name, False]}
     assert better == {"mpe", "smac", "lbf", "rware"}
-    assert aggregate.sharing_means(results.our_cells(evaluations([[0, 1]]))).empty  # no pair
+    both = [evaluations([[0, 1]]), evaluations([[0, 3]], sharing=False)]
+    alone = evaluations([[0, 5]], algorithm="ia2c")  # counts for the range, but not as a pair
+    found = aggregate.sharing_means(results.our_cells(pd.concat([*both, alone])))
+    assert found["mean"].to_dict() == {("matrix", False): 0.5, ("matrix", True): 0} and set(found["count"]) == {1}
+    assert aggregate.sharing_means(results.our_cells(alone)).empty
 
 
 def test_cpu_hours():
@@ -418,6 +422,25 @@ def test_the_papers_claims_by_its_own_tables():
 def test_claims_wait_for_results():
     verdicts = claims.judge(results.our_cells(evaluations([[0, 1]])))
     assert {verdict.verdict for verdict in verdicts} == {claims.UNKNOWN}
+
+
+def test_what_the_claims_words_mean():
+    """Nine algorithms on one task: 99.5, 97 and 90 to 96; only the first two are within the upper fifth or 1 %."""
+    values = dict(zip(results.ALGORITHMS, (100, 99.5, 97, 90, 91, 92, 93, 94, 95)))
+    parts = [evaluations([[0, value - 1], [0, value + 1]], algorithm=name) for name, value in values.items()]
+    view = claims.View(results.our_cells(pd.concat(parts)))
+    task = "matrix-climbing"
+    assert [name for name in values if view.competitive(name, task)] == ["iql", "ia2c"]
+    assert view.similar("ia2c", "ippo", task)  # 2.5 apart: t = 1.77, below 4.30
+    assert not view.similar("iql", "maddpg", task) and view.beats("iql", "maddpg", task)
+    assert not view.beats("ia2c", "ippo", task) and not view.beats("maddpg", "iql", task)
+    assert view.few_seeds
+    near = {name: 100 - place / 10 for place, name in enumerate(results.ALGORITHMS)}
+    parts = [evaluations([[0, value]], algorithm=name) for name, value in near.items()]
+    view = claims.View(results.our_cells(pd.concat(parts)))
+    assert all(view.competitive(name, task) for name in near)  # within 1 % of the best
+    with pytest.raises(claims.NotMeasured):
+        view.same("iql", "qmix", task)  # single seeds
 
 
 def test_a_claim_is_decided_once_missing_tasks_cannot_change_it():
