@@ -47,7 +47,6 @@ from results import (
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
-SHARED = {True: "with parameter sharing", False: "without parameter sharing"}
 FILE = {True: "shared", False: "independent"}
 
 
@@ -163,7 +162,7 @@ class Report:
                 rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]
                 cells = ["" if row is None else f"{row['mean']:.3f} ({row['runs']:.0f})" for row in rows]
                 if any(cells):
-                    body.append([f"{algorithm.upper()}, {SHARED[sharing]}", *cells])
+                    body.append([f"{algorithm.upper()}, {plots.SHARING[sharing]}", *cells])
         return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body)
 
     def cpu_sentence(self) -> str:
@@ -200,7 +199,7 @@ class Report:
         parts = [f"{seeds} runs on {tasks} tasks. {self.agreement()}"]
         parts += ["### Tables", tables.LEGEND]
         for metric, title in tables.TITLES.items():
-            for sharing, words in SHARED.items():
+            for sharing, words in plots.SHARING.items():
                 if table := tables.markdown(self.both, metric, sharing):
                     parts += [f"#### {title}, {words}", table]
         parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
@@ -210,10 +209,10 @@ class Report:
         for name in self.figures():
             parts.append(f"![{name}](figures/{name}.png)")
         parts += ["### Over all tasks", OVER_ALL]
-        for sharing, words in SHARED.items():
+        for sharing, words in plots.SHARING.items():
             if table := self.interquartile_means(sharing):
                 parts += [f"#### Interquartile means, {words}", table]
-        for sharing, words in SHARED.items():
+        for sharing, words in plots.SHARING.items():
             if table := self.improvements(sharing):
                 parts += [f"#### Probability of improvement, {words}", table]
         if len(self.hours):
