@@ -1,99 +1,143 @@
 """Collects complete runs into benchmark/results/, one table for all seeds of a task, algorithm and setting.
 
-    python benchmark/collect.py [runs]
+    python benchmark/collect.py [runs] [--results benchmark/results] [--replace]
 
-    results/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...].csv     the seeds' evaluations, a column seed
-    results/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...].json    their flags; where each seed was made
-
-A run is complete when its last evaluation stands at its budget. Seeds that a table already has and that are no longer
-in the runs folder stay in it. A budget other than the paper's is part of the name, as every other changed flag is. All
-seeds of a table have equally many evaluations: a run that was lengthened keeps its old distances, and may not fit.
+Runs are found by their config.json, anywhere below the folder. A run is complete when its last evaluation stands at its
+budget. What the results hold already stays: a seed with other numbers is refused, or takes the old one's place with
+--replace. All seeds of a table have equally many evaluations: a run that was lengthened keeps its old distances, and
+may not fit. `results.py` says what the tables hold.
 """
 
 import argparse
-import csv
+import io
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
-import envs
+import filelock
+import pandas as pd
 
-RESULTS = Path(__file__).resolve().parent / "results"
+from results import RESULTS, read_settings, table_path, write_whole
+
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
-SECONDS = ("wall_seconds", "cpu_seconds")
-ON_POLICY = ("ia2c", "ippo", "coma", "maa2c", "mappo")
+NOT_COMPLETE = "it is not complete"
+DAMAGED = "its evaluations.csv is damaged"
+COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
+SECONDS = ["wall_seconds", "cpu_seconds"]
+ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "preloaded")
 
 
-def read_csv(path: Path) -> list[dict[str, str]]:
-    """The rows of a table, none where there is no file."""
-    if not path.exists():
-        return []
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+def read_text(path: Path) -> pd.DataFrame:
+    """A CSV whose values stay the text that they are, so that no digit changes."""
+    return pd.read_csv(path, dtype=str, keep_default_na=False)
 
 
-def read_run(directory: Path) -> tuple[Path, dict, list[dict[str, str]]] | None:
-    """Where the results of a run belong (no suffix), its config, its rows; None for a run that is not complete."""
-    rows = read_csv(directory / "evaluations.csv")
-    if not rows:
-        return None
-    config = json.loads((directory / "config.json").read_text())
-    flags = config["flags"]
-    if int(rows[-1]["timestep"]) < flags["total_timesteps"]:
-        return None
-    name = directory.parent.name
-    task = envs.task(flags["env"])
-    budget = task.on_policy_timesteps if name.split("-")[0] in ON_POLICY else task.off_policy_timesteps
-    if flags["total_timesteps"] != budget:
-        name += f"-total-timesteps={flags['total_timesteps']}"
-    return RESULTS / directory.parent.parent.name / name, config, rows
+def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
+    """The config and the evaluations of a complete run. Raises ValueError for any other."""
+    try:
+        config = json.loads((directory / "config.json").read_text())
+    except ValueError as error:
+        raise ValueError(f"its config.json is damaged: {error}") from error
+    missing = [name for name in ("algorithm", "flags", "changed", "paper_timesteps") if name not in config]
+    if missing:
+        raise ValueError(f"its config.json does not have {', '.join(missing)}, as those of older versions")
+    path = directory / "evaluations.csv"
+    rows = read_text(path) if path.exists() and path.stat().st_size else pd.DataFrame()
+    if rows.empty:
+        raise ValueError(NOT_COMPLETE)
+    if not set(COLUMNS) <= set(rows.columns):
+        raise ValueError(DAMAGED)
+    numbers = rows[COLUMNS].apply(pd.to_numeric, errors="coerce")
+    if numbers.isna().any(axis=None):
+        raise ValueError(DAMAGED)
+    if numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
+        raise ValueError(NOT_COMPLETE)
+    return config, rows
 
 
-def add(target: Path, config: dict, rows: list[dict[str, str]]) -> None:
-    """Puts one seed into its table and settings. Raises ValueError where it differs from the other seeds in its flags
-    or in the number of its evaluations."""
-    seed = config["flags"]["seed"]
+def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any], rows: pd.DataFrame) -> pd.DataFrame:
+    """The table with one seed more; its origin is noted in the settings.
+
+    Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
+    """
+    seed = str(config["flags"]["seed"])
     flags = {name: value for name, value in config["flags"].items() if name not in PER_RUN}
-    origin = {name: value for name, value in config.items() if name not in ("flags", "command")}
-    settings_path, table_path = Path(f"{target}.json"), Path(f"{target}.csv")
-    settings = json.loads(settings_path.read_text()) if settings_path.exists() else {"flags": flags, "seeds": {}}
-    if settings["flags"] != flags:
-        names = flags.keys() | settings["flags"].keys()
-        changed = sorted(name for name in names if settings["flags"].get(name) != flags.get(name))
-        raise ValueError(f"{table_path} was made with another {', '.join(changed)}")
-    settings["seeds"] = dict(sorted({**settings["seeds"], str(seed): origin}.items(), key=lambda item: int(item[0])))
-    table = [row for row in read_csv(table_path) if int(row["seed"]) != seed]
-    if table and len(table) != len(rows) * len({row["seed"] for row in table}):
-        raise ValueError(f"it has {len(rows)} evaluations, unlike the seeds in {table_path}")
-    table += [{"seed": str(seed), **row} for row in rows]
-    table.sort(key=lambda row: (int(row["seed"]), int(row["point"])))
+    known = settings.get("flags", {})
+    different = sorted(name for name in known.keys() & flags.keys() if known[name] != flags[name])
+    if settings.get("changed", config["changed"]) != config["changed"]:
+        different.append("choice of changed flags")
+    if different:
+        raise ValueError(f"the seeds that are there were made with another {', '.join(different)}")
+    others = table[table["seed"] != seed] if len(table) else table
+    if len(others) and len(others) != len(rows) * others["seed"].nunique():
+        raise ValueError(f"it has {len(rows)} evaluations, unlike the seeds that are there")
+    if len(others) and list(others.columns) != ["seed", *rows.columns]:
+        raise ValueError(f"it has the columns {', '.join(rows.columns)}, unlike the seeds that are there")
+    last = rows.iloc[-1]
+    origin = {name: config.get(name) for name in ORIGIN}
+    origin |= {name: round(float(last[name]), 1) for name in SECONDS}
+    seeds = settings["seeds"] | {seed: origin}
+    settings["algorithm"] = config["algorithm"]
+    settings["flags"] = known | flags
+    settings["changed"] = config["changed"]
+    settings["paper_timesteps"] = config["paper_timesteps"]
+    settings["seeds"] = {name: seeds[name] for name in sorted(seeds, key=int)}
+    rows = rows.assign(**{name: [f"{float(value):.1f}" for value in rows[name]] for name in SECONDS})
+    rows.insert(0, "seed", seed)
+    both = pd.concat([others, rows]) if len(others) else rows
+    return both.sort_values(["seed", "point"], key=pd.to_numeric)
 
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with open(table_path, "w", newline="") as file:
-        writer = csv.DictWriter(file, table[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({**row, **{name: f"{float(row[name]):.1f}" for name in SECONDS}} for row in table)
-    settings_path.write_text(json.dumps(settings, indent=2) + "\n")
+
+def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False) -> Path:
+    """Puts a complete run into the results; gives the path of its table.
+
+    Raises ValueError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
+    then are as they were. Several processes may collect into the same folder.
+    """
+    config, rows = read_run(directory)
+    flags = config["flags"]
+    path = table_path(results, config["algorithm"], flags["env"], flags["parameter_sharing"], config["changed"])
+    table_file, settings_file = Path(f"{path}.csv"), Path(f"{path}.json")
+    results.mkdir(parents=True, exist_ok=True)
+    with filelock.FileLock(results / ".lock"):
+        settings = read_settings(path)
+        table = pd.DataFrame()
+        if settings["seeds"]:
+            table = read_text(table_file)
+            table = table[table["seed"].isin(settings["seeds"].keys())]
+        seed = str(flags["seed"])
+        if seed in settings["seeds"] and not replace:
+            there = table.loc[table["seed"] == seed, "return_mean"]
+            if list(there) != list(rows["return_mean"]):
+                origin = settings["seeds"][seed]["commit"]
+                raise ValueError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
+        table = merge(settings, table, config, rows)
+        text = io.StringIO()
+        table.to_csv(text, index=False, lineterminator="\n")
+        table_file.parent.mkdir(exist_ok=True)
+        write_whole(table_file, text.getvalue())
+        write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
+    return table_file
 
 
 def main() -> None:
     """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="?", type=Path, default=Path("runs"))
-    runs = parser.parse_args().runs
-    paths, wrong = sorted(runs.glob("*/*/seed*")), False
-    if not paths:
-        parser.error(f"there are no runs in {runs}")
-    for path in paths:
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--replace", action="store_true", help="a seed that is there already is replaced")
+    args = parser.parse_args()
+    directories = sorted(path.parent for path in args.runs.rglob("config.json"))
+    if not directories:
+        parser.error(f"there are no runs in {args.runs}")
+    wrong = False
+    for directory in directories:
         try:
-            if found := read_run(path):
-                add(*found)
-                print(f"{path}: in {found[0].relative_to(RESULTS.parent.parent)}.csv")
-            else:
-                print(f"{path}: not complete, left out")
-        except (ValueError, OSError) as error:  # an unknown task, other flags, a file that is missing or damaged
-            print(f"{path}: left out, {error}", file=sys.stderr)
-            wrong = True
+            print(f"{directory}: in {collect_run(directory, args.results, args.replace)}")
+        except (ValueError, OSError) as error:  # not complete, other flags, a damaged file, a full disk
+            print(f"{directory}: left out, {error}", file=sys.stderr)
+            wrong |= str(error) != NOT_COMPLETE
     if wrong:
         sys.exit(2)
 

@@ -591,6 +591,13 @@ def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[st
         "paper_timesteps": default.total_timesteps,
         "version": importlib.metadata.version("marl-baselines"),
         "script": hashlib.sha256(Path(script).read_bytes()).hexdigest()[:16],
+        **provenance(),
+    }
+
+
+def provenance() -> dict[str, Any]:
+    """Where a result came from, in plain types: command, packages, commit, machine, preloaded libraries."""
+    return {
         "command": sys.argv,
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},

@@ -1,135 +1,592 @@
-"""The programs of benchmark/: results are collected without loss, and the timing programs time."""
+"""The programs of benchmark/: runs are collected without loss, reported as the paper does, and the timing is timed."""
 
 import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
+import time
 
+import numpy as np
+import pandas as pd
 import pytest
-from scripts import ROOT, load_module
+from PIL import Image
+from scripts import ROOT
+
+import aggregate
+import claims
+import collect
+import plots
+import report
+import results
+import tables
+
+BENCHMARK = ROOT / "benchmark"
+COLUMNS = "point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"
 
 
-@pytest.fixture
-def collect(monkeypatch, tmp_path):
-    """benchmark/collect.py as a module, with a results folder of its own."""
-    module = load_module(ROOT / "benchmark" / "collect.py")
-    monkeypatch.setattr(module, "RESULTS", tmp_path / "benchmark" / "results")
-    return module
+def run(*command, **more):
+    """A program of benchmark/ with its flags."""
+    name, *flags = map(str, command)
+    return subprocess.run([sys.executable, BENCHMARK / name, *flags], capture_output=True, text=True, cwd=ROOT, **more)
 
 
-def make_run(folder, seed, timesteps, budget=2_500_000, name="mappo-shared", gamma=0.99):
-    """A run directory as a script leaves it, with one evaluation at each of the timesteps."""
-    directory = folder / "matrix-climbing" / name / f"seed{seed}"
+# ---------------------------------------------------------------------------------------------------- collecting
+
+
+def make_run(directory, seed=0, returns=(0.0, 10.5), budget=2_500_000, reached=None, changed=None, **flags):
+    """A run directory as a script leaves it, with one evaluation for each of the returns."""
     directory.mkdir(parents=True)
-    flags = {"env": "matrix-climbing", "seed": seed, "total_timesteps": budget, "gamma": gamma, "threads": 1}
-    (directory / "config.json").write_text(json.dumps({"flags": flags, "commit": "abc", "command": ["mappo.py"]}))
-    lines = ["point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"]
-    lines += [f"{point},{step},{1.23456 * point},0.5,{10.5 * point},1.0,25.0" for point, step in enumerate(timesteps)]
-    (directory / "evaluations.csv").write_text("\n".join(lines) + "\n")
+    changed = changed or {}
+    flags = {"env": "matrix-climbing", "seed": seed, "total_timesteps": budget, "parameter_sharing": True} | flags
+    flags |= changed | {"threads": 1, "run_dir": "runs/x"}
+    config = {"algorithm": "mappo", "flags": flags, "changed": changed, "paper_timesteps": 2_500_000}
+    config |= {"commit": "abc", "version": "0.1.0", "script": "123", "command": ["mappo.py"], "python": "3.11.7"}
+    config |= {"versions": {"torch": "2.13.0"}, "machine": {"cores": 2}, "preloaded": ""}
+    (directory / "config.json").write_text(json.dumps(config))
+    steps = np.linspace(0, flags["total_timesteps"] if reached is None else reached, len(returns)).astype(int)
+    rows = [f"{k},{step},{1.25 * k},0.5,{value!r},1.0,25.0" for k, (step, value) in enumerate(zip(steps, returns))]
+    (directory / "evaluations.csv").write_text("\n".join([COLUMNS, *rows]) + "\n")
+    return directory
 
 
-def run_collect(collect, monkeypatch, folder):
-    monkeypatch.setattr(sys, "argv", ["collect.py", str(folder)])
-    collect.main()
-
-
-def table(collect, name):
-    with open(collect.RESULTS / "matrix-climbing" / f"{name}.csv") as file:
+def table(folder, name="mappo-shared"):
+    with open(folder / "matrix-climbing" / f"{name}.csv") as file:
         return list(csv.DictReader(file))
 
 
-def test_seeds_come_together_and_stay(collect, monkeypatch, tmp_path):
-    make_run(tmp_path / "first", 1, [0, 2_500_000])
-    make_run(tmp_path / "first", 0, [0, 2_500_010])
-    run_collect(collect, monkeypatch, tmp_path / "first")
-    make_run(tmp_path / "second", 2, [0, 2_500_000])
-    run_collect(collect, monkeypatch, tmp_path / "second")
-    rows = table(collect, "mappo-shared")
-    assert [(row["seed"], row["timestep"], row["return_mean"]) for row in rows] == [
-        ("0", "0", "0.0"),
-        ("0", "2500010", "10.5"),
-        ("1", "0", "0.0"),
-        ("1", "2500000", "10.5"),
-        ("2", "0", "0.0"),
-        ("2", "2500000", "10.5"),
+def test_seeds_come_together_and_stay(tmp_path):
+    there = tmp_path / "results"
+    make_run(tmp_path / "first" / "deep" / "in" / "folders", 1)
+    make_run(tmp_path / "first" / "whatever", 0, returns=(0.1 + 0.2, 10.5))
+    assert run("collect.py", tmp_path / "first", "--results", there).returncode == 0
+    path = collect.collect_run(make_run(tmp_path / "second", 10), there)
+    assert path == there / "matrix-climbing" / "mappo-shared.csv"
+    rows = [(row["seed"], row["timestep"], row["return_mean"], row["wall_seconds"]) for row in table(there)]
+    assert rows == [
+        ("0", "0", "0.30000000000000004", "0.0"),  # every digit as it was
+        ("0", "2500000", "10.5", "1.2"),
+        ("1", "0", "0.0", "0.0"),
+        ("1", "2500000", "10.5", "1.2"),
+        ("10", "0", "0.0", "0.0"),
+        ("10", "2500000", "10.5", "1.2"),
     ]
-    settings = json.loads((collect.RESULTS / "matrix-climbing" / "mappo-shared.json").read_text())
-    assert settings["flags"] == {"env": "matrix-climbing", "total_timesteps": 2_500_000, "gamma": 0.99}
-    assert settings["seeds"] == {seed: {"commit": "abc"} for seed in "012"}
+    settings = json.loads(path.with_suffix(".json").read_text())
+    assert settings["algorithm"] == "mappo" and settings["changed"] == {} and settings["paper_timesteps"] == 2_500_000
+    assert settings["flags"] == {"env": "matrix-climbing", "total_timesteps": 2_500_000, "parameter_sharing": True}
+    assert list(settings["seeds"]) == ["0", "1", "10"]
+    assert settings["seeds"]["1"] == {
+        **{"commit": "abc", "version": "0.1.0", "script": "123", "python": "3.11.7", "versions": {"torch": "2.13.0"}},
+        **{"machine": {"cores": 2}, "preloaded": "", "wall_seconds": 1.2, "cpu_seconds": 0.5},
+    }
 
 
-def test_incomplete_runs_are_left_out(collect, monkeypatch, tmp_path, capsys):
-    make_run(tmp_path / "runs", 0, [0, 2_499_999])
-    run_collect(collect, monkeypatch, tmp_path / "runs")
-    assert "not complete" in capsys.readouterr().out and not collect.RESULTS.exists()
+def test_the_same_run_twice_changes_nothing(tmp_path):
+    directory = make_run(tmp_path / "run")
+    path = collect.collect_run(directory, tmp_path / "results")
+    before = path.read_bytes(), path.with_suffix(".json").read_bytes()
+    collect.collect_run(directory, tmp_path / "results")
+    assert (path.read_bytes(), path.with_suffix(".json").read_bytes()) == before
 
 
-def test_another_budget_is_another_table(collect, monkeypatch, tmp_path):
-    make_run(tmp_path / "runs", 0, [0, 1000], budget=1000)
-    run_collect(collect, monkeypatch, tmp_path / "runs")
-    assert len(table(collect, "mappo-shared-total-timesteps=1000")) == 2
+def test_a_seed_with_other_returns_is_kept_unless_it_is_replaced(tmp_path):
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "first"), there)
+    make_run(tmp_path / "second", returns=(0.0, 11.0))
+    done = run("collect.py", tmp_path / "second", "--results", there)
+    assert done.returncode == 2 and "has a seed 0 with other returns" in done.stderr
+    assert table(there)[-1]["return_mean"] == "10.5"
+    assert run("collect.py", tmp_path / "second", "--results", there, "--replace").returncode == 0
+    assert table(there)[-1]["return_mean"] == "11.0" and len(table(there)) == 2
 
 
-def test_other_flags_do_not_mix(collect, monkeypatch, tmp_path, capsys):
-    make_run(tmp_path / "first", 0, [0, 2_500_000])
-    run_collect(collect, monkeypatch, tmp_path / "first")
-    make_run(tmp_path / "second", 1, [0, 2_500_000], gamma=0.5)
-    make_run(tmp_path / "second", 2, [0, 2_500_000])
-    with pytest.raises(SystemExit, match="2"):
-        run_collect(collect, monkeypatch, tmp_path / "second")
-    assert "seed1: left out" in (said := capsys.readouterr().err) and "another gamma" in said
-    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0", "2"}
+def test_incomplete_runs_are_left_out(tmp_path):
+    make_run(tmp_path / "runs" / "short", reached=2_499_999)
+    shutil.copytree(tmp_path / "runs" / "short", tmp_path / "runs" / "unborn")
+    (tmp_path / "runs" / "unborn" / "evaluations.csv").unlink()
+    done = run("collect.py", tmp_path / "runs", "--results", tmp_path / "results")
+    assert done.returncode == 0 and done.stderr.count("it is not complete") == 2
+    assert not list((tmp_path / "results").glob("*/*"))
 
 
-def test_a_flag_that_only_the_table_knows_is_named(collect, monkeypatch, tmp_path, capsys):
-    make_run(tmp_path / "runs", 0, [0, 2_500_000])
-    run_collect(collect, monkeypatch, tmp_path / "runs")
-    path = collect.RESULTS / "matrix-climbing" / "mappo-shared.json"
-    settings = json.loads(path.read_text())
-    settings["flags"]["clip_coef"] = 0.2
-    path.write_text(json.dumps(settings))
-    with pytest.raises(SystemExit):
-        run_collect(collect, monkeypatch, tmp_path / "runs")
-    assert "another clip_coef" in capsys.readouterr().err
+def test_changed_flags_are_another_table(tmp_path):
+    there = tmp_path / "results"
+    changed = {"total_timesteps": 1000, "learning_rate": 1e-05}
+    path = collect.collect_run(make_run(tmp_path / "run", changed=changed), there)
+    assert path.name == "mappo-shared-learning-rate=1e-05-total-timesteps=1000.csv"
+    assert results.has_seed(there, "mappo", "matrix-climbing", True, changed, 0)
+    for other in (("mappo", True, changed, 1), ("mappo", False, changed, 0), ("mappo", True, {}, 0)):
+        algorithm, sharing, flags, seed = other
+        assert not results.has_seed(there, algorithm, "matrix-climbing", sharing, flags, seed)
+    assert results.load(there)["setting"].unique() == ['{"learning_rate": 1e-05, "total_timesteps": 1000}']
 
 
-def test_a_lengthened_run_does_not_mix(collect, monkeypatch, tmp_path, capsys):
+def test_many_changed_flags_still_make_a_name(tmp_path):
+    flags = {f"a_flag_with_a_long_name_{number}": number for number in range(20)}
+    one, two = (results.table_path(tmp_path, "mappo", "a/b", True, flags | {"z": z}) for z in (1, 2))
+    assert one != two and len(one.name) < 250 and one.parent.name == "a_b"
+
+
+def test_other_flags_do_not_mix(tmp_path):
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "0", 0, gamma=0.99), there)
+    with pytest.raises(ValueError, match="another gamma"):
+        collect.collect_run(make_run(tmp_path / "1", 1, gamma=0.5), there)
+    collect.collect_run(make_run(tmp_path / "2", 2, gamma=0.99, added_later=1), there)
+    assert {row["seed"] for row in table(there)} == {"0", "2"}
+
+
+def test_a_lengthened_run_and_other_columns_do_not_mix(tmp_path):
     """Begun with a smaller budget, it has more evaluations than the others, at other steps."""
-    make_run(tmp_path / "runs", 0, [0, 2_500_000])
-    make_run(tmp_path / "runs", 1, [0, 1_250_000, 2_500_000])
-    with pytest.raises(SystemExit):
-        run_collect(collect, monkeypatch, tmp_path / "runs")
-    assert "3 evaluations" in capsys.readouterr().err
-    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"0"}
-    make_run(tmp_path / "again", 0, [0, 1_250_000, 2_500_000])  # alone in its table, it takes its own place
-    run_collect(collect, monkeypatch, tmp_path / "again")
-    assert len(table(collect, "mappo-shared")) == 3
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "0"), there)
+    with pytest.raises(ValueError, match="3 evaluations"):
+        collect.collect_run(make_run(tmp_path / "1", 1, returns=(0.0, 5.0, 10.5)), there)
+    other = make_run(tmp_path / "2", 2)
+    text = (other / "evaluations.csv").read_text()
+    (other / "evaluations.csv").write_text(text.replace("length", "length,battle_won").replace("25.0", "25.0,1.0"))
+    with pytest.raises(ValueError, match=r"columns .*battle_won"):
+        collect.collect_run(other, there)
+    assert {row["seed"] for row in table(there)} == {"0"}
 
 
-def test_a_run_that_lacks_its_settings_does_not_stop_the_others(collect, monkeypatch, tmp_path, capsys):
-    make_run(tmp_path / "runs", 0, [0, 2_500_000])
-    make_run(tmp_path / "runs", 1, [0, 2_500_000])
-    (tmp_path / "runs" / "matrix-climbing" / "mappo-shared" / "seed0" / "config.json").unlink()
-    with pytest.raises(SystemExit):
-        run_collect(collect, monkeypatch, tmp_path / "runs")
-    assert "config.json" in capsys.readouterr().err
-    assert {row["seed"] for row in table(collect, "mappo-shared")} == {"1"}
+@pytest.mark.parametrize(
+    "name, text, said",
+    [
+        ("config.json", '{"algorithm": "map', "config.json is damaged"),
+        ("config.json", '{"flags": {}}', "does not have algorithm, changed, paper_timesteps"),
+        ("evaluations.csv", f"{COLUMNS}\n0,0,0,0,1,1,25\n1,2500000,1,1,", "evaluations.csv is damaged"),
+        ("evaluations.csv", "hello\n1\n", "evaluations.csv is damaged"),
+    ],
+)
+def test_damaged_runs_are_named_and_do_not_stop_the_others(tmp_path, name, text, said):
+    make_run(tmp_path / "runs" / "a")
+    (tmp_path / "runs" / "a" / name).write_text(text)
+    make_run(tmp_path / "runs" / "b", 1)
+    done = run("collect.py", tmp_path / "runs", "--results", tmp_path / "results")
+    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+    assert {row["seed"] for row in table(tmp_path / "results")} == {"1"}
+
+
+def test_two_campaigns_collect_into_the_same_table(tmp_path):
+    for seed in range(16):
+        make_run(tmp_path / f"campaign{seed % 2}" / f"seed{seed}", seed)
+    command = [sys.executable, BENCHMARK / "collect.py", "--results", tmp_path / "results"]
+    both = [subprocess.Popen([*command, tmp_path / f"campaign{number}"]) for number in (0, 1)]
+    assert [process.wait() for process in both] == [0, 0]
+    assert [int(row["seed"]) for row in table(tmp_path / "results")] == [seed for seed in range(16) for _ in "ab"]
+    assert len(json.loads((tmp_path / "results/matrix-climbing/mappo-shared.json").read_text())["seeds"]) == 16
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs a limit on the size of files")
+def test_a_full_disk_leaves_no_half_written_result(tmp_path):
+    import resource
+
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "first", 0, returns=[0.0] * 100), there)
+    before = {path.name: path.read_bytes() for path in (there / "matrix-climbing").iterdir()}
+    make_run(tmp_path / "second", 1, returns=[0.0] * 100)
+    limit = len(before["mappo-shared.csv"]) + 100
+    done = run(
+        *("collect.py", tmp_path / "second", "--results", there),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 2 and "File too large" in done.stderr and "Traceback" not in done.stderr
+    assert {path.name: path.read_bytes() for path in (there / "matrix-climbing").iterdir()} == before
+
+
+def test_a_seed_counts_once_the_settings_list_it(tmp_path):
+    """A process that is killed between the two files leaves rows of a seed that is not listed."""
+    path = collect.collect_run(make_run(tmp_path / "0", 0), tmp_path / "results")
+    settings = path.with_suffix(".json").read_text()
+    collect.collect_run(make_run(tmp_path / "1", 1), tmp_path / "results")
+    path.with_suffix(".json").write_text(settings)
+    assert set(results.load(tmp_path / "results")["seed"]) == {0}
+    collect.collect_run(tmp_path / "1", tmp_path / "results")
+    assert len(results.load(tmp_path / "results")) == 4
+
+
+# ---------------------------------------------------------------------------------------------------- what tables say
+
+
+def evaluations(curves, task="matrix-climbing", algorithm="mappo", sharing=True, changed=None, budget=2_500_000):
+    """Evaluations in the form of `results.load`; curves: a list of returns for each seed."""
+    rows = [
+        {"seed": seed, "point": point, "timestep": point * budget // max(1, len(curve) - 1), "return_mean": value}
+        for seed, curve in enumerate(curves)
+        for point, value in enumerate(curve)
+    ]
+    setting = results.setting_name(changed or {})
+    names = {"task": task, "family": results.family(task), "algorithm": algorithm, "sharing": sharing}
+    times = {"cpu_seconds": 7200.0, "wall_seconds": 7200.0, "total_timesteps": budget, "paper_timesteps": 2_500_000}
+    return pd.DataFrame(rows).assign(**names, **times, setting=setting)
+
+
+def test_maximum_average_and_last_by_hand():
+    """Two seeds: the means are 1, 5, 5; ties go to the first best point."""
+    row = results.summarise(evaluations([[0, 4, 2], [2, 6, 8]])).iloc[0]
+    assert row["seeds"] == 2 and row["maximum"] == 5 and row["maximum_point"] == 1
+    assert row["maximum_interval"] == pytest.approx(2)  # 4 and 6: s = sqrt(2), 2 s / sqrt(2)
+    assert row["average"] == pytest.approx(11 / 3)  # the seeds' own means are 2 and 16 / 3
+    assert row["average_interval"] == pytest.approx(10 / 3)
+    assert row["last"] == 5 and row["last_interval"] == pytest.approx(6)
+    single = results.summarise(evaluations([[9, 4]])).iloc[0]
+    assert single["maximum"] == 9 and single["maximum_point"] == 0 and np.isnan(single["maximum_interval"])
+
+
+def test_means_that_are_equal_but_for_rounding_are_ties():
+    """The mean of the same numbers in another order may differ in its last bits."""
+    assert results.summarise(evaluations([[0.5, 0.5 + 1e-15]])).iloc[0]["maximum_point"] == 0
+    assert results.summarise(evaluations([[0.5, 0.5 + 1e-6]])).iloc[0]["maximum_point"] == 1
+
+
+def test_the_papers_five_seeds_of_climbing():
+    """IQL's 195 +- 67.82 are the untrained seeds 125, 125, 175, 275, 275, which later all have 125 or 150."""
+    curves = [[first] + [125] * 100 for first in (125, 125, 175, 275, 275)]
+    row = results.summarise(evaluations(curves)).iloc[0]
+    assert (row["maximum"], round(row["maximum_interval"], 2), row["maximum_point"]) == (195, 67.82, 0)
+
+
+def test_the_papers_marks_come_out_of_its_own_numbers():
+    """Everywhere it prints any, but for the cells that are known to differ (the matrix rows have no asterisks)."""
+    paper = results.paper_cells()
+    marked = paper[paper["metric"] == "max_return"]
+    ours = tables.with_marks(marked.rename(columns={"mark": "printed"}))
+    family = ours["task"].map(results.family)
+    prints = ours["sharing"] | (family != "matrix")
+    assert ((ours["mark"] == "best") == (ours["printed"] == "best"))[prints].all()
+    different = ours[(ours["mark"] != ours["printed"]) & (family != "matrix")]
+    assert set(different[["sharing", "task", "algorithm"]].itertuples(index=False, name=None)) == {
+        (True, "mpe-speaker-listener", "ippo"),
+        (True, "mpe-tag", "maa2c"),
+        (True, "smac-2s_vs_1sc", "ippo"),
+        (True, "lbf-10x10-3p-3f", "mappo"),
+        (False, "smac-corridor", "iql"),
+        (False, "smac-corridor", "ippo"),
+    }
+
+
+def test_the_papers_impossible_cells():
+    paper = results.paper_cells()
+    found = paper[tables.impossible(paper) & (paper["metric"] == "max_return")]
+    wrong = {(False, "lbf-8x8-2p-2f-c", "qmix"), (True, "lbf-15x15-4p-5f", "maddpg")}
+    for task in ("lbf-10x10-3p-3f", "lbf-10x10-3p-3f-2s", "lbf-15x15-4p-3f"):
+        wrong |= {(False, task, name) for name in ("iql", "vdn", "qmix")}
+    for task in ("lbf-15x15-3p-5f", "lbf-15x15-4p-5f"):
+        wrong |= {(False, task, name) for name in ("vdn", "qmix")}
+    assert set(found[["sharing", "task", "algorithm"]].itertuples(index=False, name=None)) == wrong
+
+
+def compared(*parts):
+    """Evaluations as cells beside the paper's."""
+    return tables.compare(results.our_cells(pd.concat(parts)), results.paper_cells())
+
+
+def cell(both, metric="max_return", algorithm="mappo"):
+    return both[(both["metric"] == metric) & (both["algorithm"] == algorithm)].iloc[0]
+
+
+def test_differences_in_units_of_both_intervals():
+    """The paper's average of MAPPO on Climbing: 170.76 +- 1.79, its maximum 175.00 +- 0.00."""
+    both = compared(evaluations([[171, 171], [175, 175]]))
+    ours = cell(both, "average_return")
+    assert ours["interval"] == pytest.approx(4)
+    assert ours["difference"] == pytest.approx((173 - 170.76) / np.hypot(4, 1.79))
+    single = cell(compared(evaluations([[173, 173]])), "average_return")
+    assert single["difference"] == pytest.approx((173 - 170.76) / (1.79 * np.sqrt(1 + 5)))
+    exact = cell(compared(evaluations([[175, 175]] * 5)))
+    assert exact["difference"] == 0
+    assert cell(compared(evaluations([[175.02, 175.02]] * 5)))["difference"] == pytest.approx(2)  # 0.01 at least
+
+
+def test_the_signs_of_cells():
+    few = evaluations([[9, 4], [9, 4]])
+    short = evaluations([[1, 5]] * 5, algorithm="ia2c", changed={"total_timesteps": 1000}, budget=1000)
+    whole = evaluations([[1, 9.001], [1, 9], [1, 9], [1, 9], [1, 9]], algorithm="qmix")
+    longer = evaluations([[1, 99]] * 5, algorithm="qmix", changed={"total_timesteps": 9_000_000}, budget=9_000_000)
+    other = evaluations([[1, 99]] * 5, algorithm="qmix", changed={"network": "gru"})
+    both = compared(few, short, whole, longer, other)
+    header, _, ours, paper, _ = tables.markdown(both, "max_return", True).splitlines()
+    cells = dict(zip(header.split(" | "), ours.split(" | ")))
+    assert cells["MAPPO"] == "**9.00 ± 0.00** ²°" and cells["IA2C"] == "5.00 ± 0.00 †"
+    assert cells["QMIX |"] == "**9.00 ± 0.00** |"  # printed like the best, so bold as well
+    assert paper.split(" | ")[1] == "paper" and "195.00" not in paper and "175.00 ± 0.00" in paper
+    averages = tables.markdown(both, "average_return", True).splitlines()
+    assert dict(zip(averages[0].split(" | "), averages[4].split(" | ")))["IA2C"] == "-"  # another budget's average
+    assert "**" not in averages[2]
+    text = tables.latex(both, "max_return", True)
+    assert r"\textbf{9.00 $\pm$ 0.00} $^{2}$$^{\circ}$" in text and r"5.00 $\pm$ 0.00 $^{\dagger}$" in text
+    listed = tables.variants(pd.concat([few, short, whole, longer, other]), results.our_cells(pd.concat([few, whole])))
+    assert "network gru" in listed and "total_timesteps 9000000" in listed and "MAPPO" not in listed
+    assert tables.short(both).splitlines()[2].startswith("| `matrix-climbing` |  |  |  |")  # no other budgets
+
+
+def test_asterisks_by_the_t_test():
+    """1.0 +- 0.2 against 0.7 +- 0.3 (five seeds): t = 0.3 / sqrt(s1^2 / 5 + s2^2 / 5) = 1.66, below 2.306."""
+    row = pd.DataFrame({"mean": [1.0, 0.7, 0.2], "interval": [0.2, 0.3, 0.2], "seeds": 5})
+    assert tables.marks(row) == ["best", "not significantly different", ""]
+    assert not tables.same_mean(1.0, np.nan, 1, 0.99, 0.2, 5)
+    assert tables.same_mean(1.0, 0.0, 5, 1.0, 0.0, 5) and not tables.same_mean(1.0, 0.0, 5, 0.9, 0.0, 5)
+
+
+def test_win_rates_have_their_own_best_point():
+    runs = evaluations([[1, 2, 3]] * 2, task="smaclite-3s5z-sc2").assign(battle_won=[0.0, 0.5, 0.2] * 2)
+    won = cell(compared(runs), "max_win_rate")
+    assert won["mean"] == 0.5 and won["paper_mean"] > 0  # stands in for the paper's 3s5z
+    assert won["paper_task"] == "smac-3s5z"
+
+
+# ---------------------------------------------------------------------------------------------------- over all tasks
+
+
+def test_normalised_by_the_range_over_both_sharings():
+    runs = pd.concat([evaluations([[0, 4]]), evaluations([[2, 8]], sharing=False)])
+    assert list(aggregate.normalise(runs)["normalised"]) == [0, 0.5, 0.25, 1]
+    assert aggregate.normalise(evaluations([[3, 3]])).empty  # nothing ever changed
+    assert aggregate.normalise(evaluations([[0, 4]], task="lbf-9x9-2p-2f")).empty  # not in the paper
+    assert aggregate.normalise(evaluations([[0, 4]], changed={"network": "gru"})).empty
+
+
+def test_interquartile_mean_by_hand():
+    """Eight runs of two unequal tasks: the two lowest and the two highest are left out."""
+    tasks = [np.array([0.0, 1.0, 2.0]), np.array([3.0, 4.0, 5.0, 6.0, 100.0])]
+    value, low, high = aggregate.with_interval(aggregate.interquartile_mean, tasks)
+    assert value == (2 + 3 + 4 + 5) / 4 and low < value < high
+
+
+def test_bootstrap_draws_within_tasks():
+    """A task with one run, or with equal runs, has no spread, however far apart the tasks are."""
+    scores = [np.array([0.0]), np.array([5.0, 5.0])]
+    assert list(aggregate.with_interval(aggregate.interquartile_mean, scores)) == [10 / 3] * 3
+    two = aggregate.with_interval(aggregate.interquartile_mean, [np.array([0.0, 1.0])])
+    assert list(two) == [0.5, 0, 1]  # a quarter of the samples is 0, 0, a quarter 1, 1
+
+
+def test_probability_of_improvement_by_hand():
+    ours, theirs = [np.array([1.0, 3.0]), np.array([0.0])], [np.array([2.0, 2.0, 3.0]), np.array([0.0])]
+    # task one: 3 beats 2, 2 and ties 3, of six pairs; task two: a tie
+    value, low, high = aggregate.with_interval(aggregate.probability_of_improvement, ours, theirs)
+    assert value == pytest.approx((2.5 / 6 + 0.5) / 2) and low < value < high
+
+
+def test_performance_profile_by_hand():
+    measure = aggregate.performance_profile(np.array([0.0, 0.5, 0.9]))
+    share, low, high = aggregate.with_interval(measure, [np.array([0.0, 0.5]), np.array([0.6, 1.0])])
+    assert list(share) == [0.75, 0.5, 0.25] and (low <= share).all() and (share <= high).all()
+
+
+def test_parameter_sharing_helps_everywhere_but_in_the_matrix_games_of_the_paper():
+    means = aggregate.sharing_means(results.paper_cells())["mean"].unstack()
+    better = {name for name in means.index if means.loc[name, True] > means.loc[name, False]}
+    assert better == {"mpe", "smac", "lbf", "rware"}
+    both = [evaluations([[0, 1]]), evaluations([[0, 3]], sharing=False)]
+    alone = evaluations([[0, 5]], algorithm="ia2c")  # counts for the range, but not as a pair
+    found = aggregate.sharing_means(results.our_cells(pd.concat([*both, alone])))
+    assert found["mean"].to_dict() == {("matrix", False): 0.5, ("matrix", True): 0} and set(found["count"]) == {1}
+    assert aggregate.sharing_means(results.our_cells(alone)).empty
+
+
+def test_cpu_hours():
+    hours = aggregate.cpu_hours(pd.concat([evaluations([[0, 1]] * 3), evaluations([[0, 1]], task="matrix-penalty-0")]))
+    assert hours.loc[("matrix", "mappo", True)].to_dict() == {"runs": 4, "total": 8, "mean": 2}
+
+
+def test_curves_are_means_of_tasks():
+    """Task one 0 and 4 (interval 4), task two 8 three times (interval 0): mean (2 + 8) / 2, interval 4 / 2."""
+    one = evaluations([[0, 0], [0, 4]])
+    two = evaluations([[0, 8]] * 3, task="matrix-penalty-0")
+    ((name, line),) = plots.mean_curves(pd.concat([one, two]), "return_mean")
+    assert name == "mappo" and line.loc[1].to_dict() == pytest.approx({"x": 1.0, "mean": 5.0, "interval": 2.0})
+    ((_, line),) = plots.mean_curves(pd.concat([one, two[two["seed"] == 0]]), "return_mean")
+    assert np.isnan(line.loc[1, "interval"])
+
+
+# ---------------------------------------------------------------------------------------------------- claims
+
+
+def test_the_papers_claims_by_its_own_tables():
+    verdicts = [verdict.verdict for verdict in claims.judge(results.paper_cells())]
+    assert claims.UNKNOWN not in verdicts
+    failing = sorted(claim[1] for claim, verdict in zip(claims.CLAIMS, verdicts) if verdict == claims.FAILS)
+    assert [sentence[:40] for sentence in failing] == [
+        "Centralised critics are valuable (the be",
+        "IPPO outperforms MAA2C in the RWARE task",
+        "IQL performs significantly worse than IA",
+        "In most RWARE tasks MAA2C and MAPPO sign",
+        "MAA2C is significantly better than IA2C ",
+        "QMIX achieves consistently high returns ",
+    ]
+
+
+def test_claims_wait_for_results():
+    verdicts = claims.judge(results.our_cells(evaluations([[0, 1]])))
+    assert {verdict.verdict for verdict in verdicts} == {claims.UNKNOWN}
+
+
+def test_what_the_claims_words_mean():
+    """Nine algorithms on one task: 99.5, 97 and 90 to 96; only the first two are within the upper fifth or 1 %."""
+    values = dict(zip(results.ALGORITHMS, (100, 99.5, 97, 90, 91, 92, 93, 94, 95)))
+    parts = [evaluations([[0, value - 1], [0, value + 1]], algorithm=name) for name, value in values.items()]
+    view = claims.View(results.our_cells(pd.concat(parts)))
+    task = "matrix-climbing"
+    assert [name for name in values if view.competitive(name, task)] == ["iql", "ia2c"]
+    assert view.similar("ia2c", "ippo", task)  # 2.5 apart: t = 1.77, below 4.30
+    assert not view.similar("iql", "maddpg", task) and view.beats("iql", "maddpg", task)
+    assert not view.beats("ia2c", "ippo", task) and not view.beats("maddpg", "iql", task)
+    assert view.few_seeds
+    near = {name: 100 - place / 10 for place, name in enumerate(results.ALGORITHMS)}
+    parts = [evaluations([[0, value]], algorithm=name) for name, value in near.items()]
+    view = claims.View(results.our_cells(pd.concat(parts)))
+    assert all(view.competitive(name, task) for name in near)  # within 1 % of the best
+    with pytest.raises(claims.NotMeasured):
+        view.same("iql", "qmix", task)  # single seeds
+
+
+def test_a_claim_is_decided_once_missing_tasks_cannot_change_it():
+    def test(task):
+        if task == "missing":
+            raise claims.NotMeasured
+        return task == "yes", ""
+
+    assert claims.among(["yes", "yes", "missing"], test).verdict == claims.UNKNOWN
+    assert claims.among(["no", "missing"], test).verdict == claims.FAILS
+    assert claims.among(["yes", "yes", "missing"], test, claims.MAJORITY).verdict == claims.HOLDS
+    assert claims.among(["yes", "no", "missing"], test, claims.MAJORITY).verdict == claims.UNKNOWN
+    assert claims.among(["yes", "no"], test, claims.MAJORITY).verdict == claims.FAILS  # more than half
+    assert claims.among(["yes", "no", "no", "missing"], test, claims.MAJORITY).verdict == claims.FAILS
+    assert claims.among(["yes", "yes", "yes", "no"], test, claims.VAST_MAJORITY).verdict == claims.HOLDS
+
+
+# ---------------------------------------------------------------------------------------------------- the report
+
+
+def test_the_readmes_are_up_to_date():
+    made = report.Report(results.RESULTS)
+    how = "run python benchmark/report.py"
+    for path, text in ((BENCHMARK / "README.md", made.long()), (ROOT / "README.md", made.short())):
+        assert path.read_text(encoding="utf-8") == report.between_markers(path, text), how
+    for name in made.figures():
+        with Image.open(BENCHMARK / "figures" / f"{name}.png") as image:
+            assert image.info["Source"] == made.digest, how
+    assert {path.stem for path in (BENCHMARK / "figures").glob("*.png")} == made.figures().keys(), how
+
+
+def test_the_text_around_the_markers_stays(tmp_path):
+    path = tmp_path / "README.md"
+    path.write_text(f"before\n{report.BEGIN}\nold\n{report.END}\nafter\n")
+    assert report.between_markers(path, "new") == f"before\n{report.BEGIN}\n\nnew\n\n{report.END}\nafter\n"
+    path.write_text("no markers")
+    with pytest.raises(ValueError, match="two lines between which"):
+        report.between_markers(path, "new")
+
+
+def test_marl_evals_structure():
+    runs = pd.concat([evaluations([[0.0, 4.0, 2.0]]), evaluations([[0.0, 9.0]], changed={"network": "gru"})])
+    step = {"step_count": 1_250_000, "elapsed_time": 7200.0, "return": [4.0]}
+    made = report.marl_eval(runs)
+    seed = made["matrix"]["matrix-climbing"]["mappo_shared"]["seed_0"]
+    assert list(seed) == ["step_0", "step_1", "step_2", "absolute_metrics"] and seed["step_1"] == step
+    assert seed["absolute_metrics"] == {"return": [4.0]} and len(made["matrix"]["matrix-climbing"]) == 1
+    json.dumps(made)
+
+
+def make_results(folder, tasks):
+    """Result files of nine algorithms, both sharings, five seeds each."""
+    rng = np.random.default_rng(0)
+    for task in tasks:
+        points = 101 if task.startswith("matrix") else 41
+        for algorithm in results.ALGORITHMS:
+            for sharing in (True, False):
+                path = results.table_path(folder, algorithm, task, sharing, {})
+                path.parent.mkdir(parents=True, exist_ok=True)
+                curves = rng.uniform(0.3, 1) * np.linspace(0, 1, points) + rng.normal(0, 0.02, (5, points))
+                lines = [f"seed,{COLUMNS}"] + [
+                    f"{seed},{point},{point * 1000},{point},{point},{value:.4f},0.1,25.0"
+                    for seed, curve in enumerate(curves)
+                    for point, value in enumerate(curve)
+                ]
+                path.with_name(f"{path.name}.csv").write_text("\n".join(lines) + "\n")
+                budget = (points - 1) * 1000
+                settings = {"algorithm": algorithm, "changed": {}, "paper_timesteps": budget}
+                settings["flags"] = {"env": task, "total_timesteps": budget, "parameter_sharing": sharing}
+                settings["seeds"] = {str(seed): {"commit": None} for seed in range(5)}
+                path.with_name(f"{path.name}.json").write_text(json.dumps(settings))
+
+
+def write_report(monkeypatch, folder, *flags):
+    """The report on folder/results, in folder/out."""
+    folders = ["--results", str(folder / "results"), "--output", str(folder / "out")]
+    monkeypatch.setattr(sys, "argv", ["report.py", *folders, *flags])
+    report.main()
+
+
+def test_many_results_are_reported_soon(monkeypatch, tmp_path):
+    """90 result files; with BENCHMARK_FULL=1, 1,008 in under a minute."""
+    tasks = list(claims.LBF[:5])
+    if os.environ.get("BENCHMARK_FULL") == "1":
+        tasks = [*claims.TASKS, *(f"lbf-{size}x{size}-2p-2f" for size in range(9, 40))]
+    make_results(tmp_path / "results", tasks)
+    start = time.process_time()
+    write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "m.json"))
+    assert time.process_time() - start < 60  # CPU seconds: others may use the machine too
+    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    assert all(f"| {task} | ours |" in text for task in tasks)
+    assert len(list((tmp_path / "out" / "latex").glob("*.tex"))) == 6
+    figures = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
+    assert {"curves-lbf-shared.svg", "normalised-shared.png", "profiles-independent.svg", "sharing.png"} <= figures
+    assert json.loads((tmp_path / "m.json").read_text()).keys() <= results.FAMILIES.keys()
+
+
+def test_a_single_run_of_a_foreign_task_is_reported(monkeypatch, tmp_path):
+    directory = make_run(tmp_path / "run", env="gymnasium:Some-v1", changed={"total_timesteps": 1000, "network": "gru"})
+    collect.collect_run(directory, tmp_path / "results")
+    for changed in ({"total_timesteps": 1000}, {}):
+        shutil.rmtree(directory)
+        make_run(directory, env="gymnasium:Some-v1", changed=changed)
+        write_report(monkeypatch, tmp_path)
+        collect.collect_run(directory, tmp_path / "results")
+    write_report(monkeypatch, tmp_path)
+    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    assert "| gymnasium:Some-v1 | ours |  |  |  |  |  |  | **10.50** ¹ |" in text and "network gru" in text
+    assert (tmp_path / "out" / "figures" / "curves-other-shared.png").exists()
+
+
+def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
+    done = run("report.py", "--results", tmp_path, "--output", tmp_path)
+    assert done.returncode == 2 and "there are no results" in done.stderr
+    make_results(tmp_path, ["matrix-climbing"])
+    (tmp_path / "matrix-climbing" / "iql-shared.json").write_text('{"algo')
+    done = run("report.py", "--results", tmp_path, "--output", tmp_path)
+    assert done.returncode == 2 and "iql-shared.json is damaged" in done.stderr and "Traceback" not in done.stderr
+
+
+# ---------------------------------------------------------------------------------------------------- other programs
 
 
 @pytest.mark.parametrize(
     "command, said",
     [
         ("collect.py nowhere", "no runs in nowhere"),
-        ("report.py nothing", "no results of nothing"),
         ("stepping.py --tasks nothing", "unknown task 'nothing'"),
         ("stepping.py --num-envs 0", "must be positive"),
     ],
 )
 def test_wrong_input_is_named(command, said):
-    name, *flags = command.split()
-    done = subprocess.run([sys.executable, f"benchmark/{name}", *flags], capture_output=True, text=True, cwd=ROOT)
+    done = run(*command.split())
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+
+
+def test_stepping_keeps_its_figures(tmp_path):
+    file = tmp_path / "stepping.csv"
+    file.write_text("task,whose,steps_per_second,processor,commit\nmatrix-climbing,old,1,x,y\nother,kept,2,x,y\n")
+    flags = ["--tasks", "matrix-climbing", "--num-envs", "2", "--seconds", "0.1", "--output", file]
+    done = run("stepping.py", *flags)
+    assert done.returncode == 0 and "126,582" in done.stdout, done.stderr  # the paper's 0.079 s for 10,000
+    found = pd.read_csv(file).set_index("whose")["steps_per_second"]
+    assert list(found.index) == ["kept", "ours, num_envs=2"] and found.iloc[-1] > 1000
+    speeds = results.speeds(tmp_path)
+    assert set(speeds["whose"]) == {"the paper", "kept", "ours, num_envs=2"}
 
 
 def run_training(monkeypatch, *flags):
@@ -156,36 +613,3 @@ def test_training_speed(monkeypatch, capsys, algorithms, flags):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == algorithms
     assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)
-
-
-def test_report_computes_as_the_paper_does(monkeypatch, tmp_path, capsys):
-    """Two seeds with the curves (0, 4, 2) and (2, 6, 8): by hand, the maximum is 5 at the last two points."""
-    module = load_module(ROOT / "benchmark" / "report.py")
-    folder = tmp_path / "results" / "matrix-climbing"
-    folder.mkdir(parents=True)
-    lines = ["seed,point,return_mean", "0,0,0", "0,1,4", "0,2,2", "1,0,2", "1,1,6", "1,2,8"]
-    (folder / "mappo-shared.csv").write_text("\n".join(lines))
-    (folder / "mappo-shared.json").write_text(json.dumps({"flags": {"total_timesteps": 2_500_000}}))
-    shutil.copytree(ROOT / "benchmark" / "paper", tmp_path / "paper")
-    monkeypatch.setattr(module, "HERE", tmp_path)
-    monkeypatch.setattr(sys, "argv", ["report.py"])
-    module.main()
-    # ties go to the first best point: 4 and 6, deviation sqrt(2); own means 2 and 16 / 3; last 2 and 8
-    cells = [cell.strip() for cell in capsys.readouterr().out.splitlines()[-1].split("|")[1:-1]]
-    assert cells == [
-        *["matrix-climbing", "mappo", "2*", "5.00 +- 2.00", "175.00 +- 0.00"],
-        *["3.67 +- 3.33", "170.76 +- 1.79", "5.00 +- 6.00"],
-    ]
-
-    lines = ["seed,point,return_mean", "0,0,9", "0,1,4", "0,2,2"]
-    (folder / "mappo-shared.csv").write_text("\n".join(lines))
-    module.main()
-    assert "| 9.00 at step 0 |" in capsys.readouterr().out
-
-    changed = "mappo-independent-network=gru-total-timesteps=1000-learning-rate=1e-05"
-    (folder / "mappo-shared.csv").rename(folder / f"{changed}.csv")
-    (folder / "mappo-shared.json").unlink()
-    (folder / f"{changed}.json").write_text(json.dumps({"flags": {"total_timesteps": 1000}}))
-    module.main()
-    label = "| mappo, no sharing, network=gru, 1,000 steps, learning-rate=1e-05 | 1* |"
-    assert label in capsys.readouterr().out

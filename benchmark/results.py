@@ -1,0 +1,227 @@
+"""What benchmark/results/ and benchmark/paper/ hold, as pandas tables. Everything that reads a result reads it here.
+
+    results/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...].csv     the seeds' evaluations, a column seed
+    results/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...].json    what they were made with:
+
+    algorithm          such as "mappo"
+    flags              all flags, but the seed and those of one run only
+    changed            the flags that differ from the paper's; {} is the paper's setting and budget
+    paper_timesteps    the paper's budget for this algorithm and task
+    seeds              for each: commit, version, script, python, versions, machine, preloaded, wall and CPU seconds
+
+The names are for people; programs read the JSON. A seed counts once the JSON lists it, so the CSV is written first.
+"""
+
+import hashlib
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+HERE = Path(__file__).resolve().parent
+RESULTS = HERE / "results"
+PAPER = HERE / "paper"
+
+ALGORITHMS = ("iql", "ia2c", "ippo", "maddpg", "coma", "maa2c", "mappo", "vdn", "qmix")  # as in the paper's tables
+PAPER_FAMILIES = {"matrix": "Matrix games", "mpe": "MPE", "smac": "SMAC", "lbf": "LBF", "rware": "RWARE"}
+FAMILIES = PAPER_FAMILIES | {"other": "Other tasks"}
+PAPER_SEEDS = 5
+PAPER_RUNS = 2250  # 9 algorithms, 25 tasks, with and without sharing, 5 seeds
+PAPER_CPU_HOURS = 138_916
+PAPER_SETTING = "{}"
+KEY = ["task", "algorithm", "sharing", "setting"]
+LONGEST_NAME = 200  # file systems stop at 255
+
+
+def family(task: str) -> str:
+    """The paper's family of a task, which is how its name begins; "other" where the paper has none like it."""
+    return next((name for name in PAPER_FAMILIES if task.startswith(name)), "other")
+
+
+def paper_task(task: str) -> str:
+    """The task of the paper's tables that this one is compared with: itself, or the one that it stands in for."""
+    stand_in = re.fullmatch("smaclite-(.*)-sc2", task)  # StarCraft's clock and data without StarCraft
+    return f"smac-{stand_in[1]}" if stand_in else task
+
+
+def setting_name(changed: dict[str, Any]) -> str:
+    """The changed flags as a string that is the same whatever their order."""
+    return json.dumps(changed, sort_keys=True)
+
+
+def table_path(results: Path, algorithm: str, task: str, sharing: bool, changed: dict[str, Any]) -> Path:
+    """Where the table of these runs stands, without its suffix: .csv holds the evaluations, .json the settings."""
+    name = f"{algorithm}-{'shared' if sharing else 'independent'}"
+    for flag, value in sorted(changed.items()):
+        name += f"-{flag.replace('_', '-')}={value}"
+    if len(name) > LONGEST_NAME:
+        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    safe_task, safe_name = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (task, name))
+    return results / safe_task / safe_name
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """A table's JSON, path without its suffix; where there is none, that of a table without seeds."""
+    file = Path(f"{path}.json")
+    if not file.exists():
+        return {"seeds": {}}
+    try:
+        settings = json.loads(file.read_text())
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged: {error}") from error
+    if "changed" not in settings:
+        raise ValueError(f"{file} was written by an older version: it does not say which flags were changed")
+    return settings
+
+
+def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
+    """A table's evaluations of the seeds that its settings list; path without its suffix."""
+    if not settings["seeds"]:
+        return pd.DataFrame()
+    table = pd.read_csv(f"{path}.csv")
+    return table[table["seed"].isin([int(seed) for seed in settings["seeds"]])]
+
+
+def has_seed(results: Path, algorithm: str, task: str, sharing: bool, changed: dict[str, Any], seed: int) -> bool:
+    """Whether the results hold this run; `changed` as its config.json would have it."""
+    settings = read_settings(table_path(results, algorithm, task, sharing, changed))
+    return str(seed) in settings["seeds"] and settings["changed"] == changed
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a file whole or not at all. Raises OSError, as on a full disk, and then leaves what was there."""
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with open(new, "w", newline="\n", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def load(results: Path = RESULTS) -> pd.DataFrame:
+    """All evaluations, a row for each task, algorithm, sharing, setting, seed and point.
+
+    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets.
+    Statistics that a family has beyond the return are columns of their own, NaN elsewhere.
+    """
+    tables = []
+    for file in sorted(results.glob("*/*.json")):
+        path = file.with_suffix("")
+        settings = read_settings(path)
+        flags = settings["flags"]
+        table = read_table(path, settings)
+        columns = {
+            "task": flags["env"],
+            "family": family(flags["env"]),
+            "algorithm": settings["algorithm"],
+            "sharing": flags["parameter_sharing"],
+            "setting": setting_name(settings["changed"]),
+            "total_timesteps": flags["total_timesteps"],
+            "paper_timesteps": settings["paper_timesteps"],
+        }
+        tables.append(table.assign(**columns))
+    if not tables:
+        raise ValueError(f"there are no results in {results}")
+    return pd.concat(tables, ignore_index=True)
+
+
+def summarise(evaluations: pd.DataFrame, column: str = "return_mean") -> pd.DataFrame:
+    """What the paper's tables say of each (task, algorithm, sharing, setting), from any column of the evaluations.
+
+    maximum: the mean over seeds at each point, then its first best point (maximum_point). average: the mean over
+    points and seeds. last: the last point. An interval is 2 s / sqrt(n), s the sample standard deviation over n seeds
+    (average: over the seeds' own means); NaN for a single seed.
+    """
+    measured = evaluations.dropna(subset=[column])
+    by_point = measured.groupby([*KEY, "point"])[column].agg(["mean", "std", "count"]).reset_index("point")
+    by_point["interval"] = interval(by_point["std"], by_point["count"])
+    by_point["rank"] = by_point["mean"].round(9)  # equal means may differ in their last bits
+    best = by_point.sort_values(["rank", "point"], ascending=[False, True]).groupby(level=KEY).first()
+    last = by_point.groupby(level=KEY).last()
+    own_means = measured.groupby([*KEY, "seed"])[column].mean()
+    average = own_means.groupby(level=KEY).agg(["mean", "std", "count"])
+    return pd.DataFrame(
+        {
+            "seeds": average["count"],
+            "maximum": best["mean"],
+            "maximum_interval": best["interval"],
+            "maximum_point": best["point"],
+            "average": average["mean"],
+            "average_interval": interval(average["std"], average["count"]),
+            "last": last["mean"],
+            "last_interval": last["interval"],
+        }
+    )
+
+
+def interval(deviation: Any, seeds: Any) -> Any:
+    """The paper's 95 % interval, from the sample standard deviation."""
+    return 2 * deviation / np.sqrt(seeds)
+
+
+def paper_returns() -> pd.DataFrame:
+    """The paper's tables: columns metric (max_return, average_return, max_win_rate), sharing (bool), task, algorithm,
+    mean, interval, mark ("best", "not significantly different" or nothing)."""
+    table = pd.read_csv(PAPER / "returns.csv", keep_default_na=False)
+    table["sharing"] = table["parameter_sharing"] == "yes"
+    return table.rename(columns={"ci95": "interval"}).drop(columns="parameter_sharing")
+
+
+def speeds(results: Path = RESULTS) -> pd.DataFrame:
+    """Simulation speeds: task, family, whose ("the paper", "original package", "ours, num_envs=10"),
+    steps_per_second. Ours and the original packages' were written by `stepping.py --output`; the paper's are those of
+    the same tasks."""
+    file = results / "stepping.csv"
+    measured = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=["task", "whose", "steps_per_second"])
+    paper = pd.read_csv(PAPER / "env_speed.csv")
+    paper = paper.assign(whose="the paper", steps_per_second=10_000 / paper["seconds_per_10000_steps"])
+    paper = paper[paper["task"].isin(measured["task"].map(paper_task))]
+    is_ours = measured["whose"].str.startswith("ours")
+    both = pd.concat([paper, measured[~is_ours], measured[is_ours]])[["task", "whose", "steps_per_second"]]
+    return both.assign(family=both["task"].map(family))
+
+
+def paper_cells() -> pd.DataFrame:
+    """The paper's tables as cells: a row for each metric, sharing, task and algorithm with mean, interval and seeds."""
+    return paper_returns().assign(seeds=PAPER_SEEDS)
+
+
+def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The evaluations that the paper's tables and curves show: of each task, algorithm and sharing the paper's setting,
+    or where its budget is missing, the longest other one."""
+    budgets = evaluations[[*KEY, "total_timesteps"]].drop_duplicates()
+    budgets = budgets[[set(json.loads(setting)) <= {"total_timesteps"} for setting in budgets["setting"]]]
+    budgets = budgets.assign(other_budget=budgets["setting"] != PAPER_SETTING)
+    budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
+    chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
+    return evaluations.merge(chosen, on=KEY)
+
+
+def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The results `in_tables` as cells in the form of `paper_cells`, with the further metric last_return.
+
+    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with.
+    """
+    chosen = in_tables(evaluations)
+    settings = chosen[[*KEY, "total_timesteps", "other_budget"]].drop_duplicates()
+    parts = []
+    for column, prefix in {"return_mean": "return", "battle_won": "win_rate"}.items():
+        if column not in chosen:
+            continue
+        summary = settings.merge(summarise(chosen, column).reset_index(), on=KEY)
+        for measure in ("maximum", "average", "last"):
+            metric = f"{'max' if measure == 'maximum' else measure}_{prefix}"
+            cells = summary.assign(metric=metric, mean=summary[measure], interval=summary[f"{measure}_interval"])
+            parts.append(cells.assign(at_start=(summary["maximum_point"] == 0) & (measure == "maximum")))
+    cells = pd.concat(parts, ignore_index=True).rename(columns={"total_timesteps": "timesteps"})
+    cells["paper_task"] = cells["task"].map(paper_task)
+    columns = ["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"]
+    return cells[[*columns, "timesteps", "other_budget", "at_start", "paper_task"]]
