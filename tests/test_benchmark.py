@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scripts import ROOT
+from scripts import ROOT, load_module
 
 import aggregate
 import claims
