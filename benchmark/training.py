@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -134,8 +135,20 @@ def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Cal
     return wrapper
 
 
-def measure(name: str, flags: list[str], seconds: float) -> None:
-    """Prints one line: medians over batches."""
+@dataclass(frozen=True)
+class Measurement:
+    """Medians over batches. rate, reference: steps per second; the others: shares of the loop's time."""
+
+    setting: str
+    rate: float
+    reference: float
+    update: float
+    acting: float
+    stepping: float
+
+
+def measure(name: str, flags: list[str], seconds: float) -> Measurement:
+    """Trains for some seconds."""
     module: Any = load_script(name)
     args = module.parse(flags)
     torch.set_num_threads(1)
@@ -158,12 +171,7 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])
     whole = acting + update
     setting = f"{name} {args.network} {args.hidden_dim} {'shared' if args.parameter_sharing else 'independent'}"
-    print(
-        f"{setting:32s} {rate:8,.0f} steps/s, reference passes {reference:8,.0f}, share {rate / reference:.2f}; "
-        f"of the loop: update {update / whole:.0%}, acting {(acting - stepping) / whole:.0%}, "
-        f"stepping {stepping / whole:.0%}",
-        flush=True,
-    )
+    return Measurement(setting, rate, reference, update / whole, (acting - stepping) / whole, stepping / whole)
 
 
 def main() -> None:
@@ -177,9 +185,15 @@ def main() -> None:
     chosen = parser.parse_args()
     for name in chosen.algos:
         try:
-            measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
+            found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
         except envs.InputError as error:
             parser.error(str(error))
+        print(
+            f"{found.setting:32s} {found.rate:8,.0f} steps/s, reference passes {found.reference:8,.0f}, "
+            f"share {found.rate / found.reference:.2f}; of the loop: update {found.update:.0%}, "
+            f"acting {found.acting:.0%}, stepping {found.stepping:.0%}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
