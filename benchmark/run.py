@@ -14,6 +14,7 @@ Flags behind -- are for the scripts, such as -- --total-timesteps 1000000. On a 
 
 import argparse
 import errno
+import functools
 import multiprocessing
 import os
 import signal
@@ -362,7 +363,14 @@ def run_campaign(args: argparse.Namespace) -> int:
     if args.dry_run:
         dry_run(runs, results, jobs)
         return 0
-    campaign = Campaign(runs, args.runs.resolve(), results, LocalJob, lambda: jobs, make_view())
+    start: Callable[[Run], Job] = LocalJob
+    places: Callable[[], int] = functools.partial(int, jobs)
+    if args.ray:
+        envs.optional("ray", "benchmark")
+        import cluster
+
+        start, places = cluster.connect(args.ray, args.jobs, args.fast_mkl)
+    campaign = Campaign(runs, args.runs.resolve(), results, start, places, make_view())
     for number in SIGNALS:
         signal.signal(number, campaign.ask_to_stop)
     campaign.go_on()

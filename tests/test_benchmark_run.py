@@ -369,7 +369,8 @@ def keep_logs(monkeypatch):
     finish = run.Campaign.finish
 
     def keep(self, one, code, lost):
-        logs[plan.log_path(one).name] = plan.log_path(one).read_text()
+        if plan.log_path(one).exists():
+            logs[plan.log_path(one).name] = plan.log_path(one).read_text()
         finish(self, one, code, lost)
 
     monkeypatch.setattr(run.Campaign, "finish", keep)
@@ -590,3 +591,75 @@ class TestFastMKL:
 
 def refuse(reason):
     raise fast_mkl.NotPossible(reason)
+
+
+class TestRay:
+    @pytest.fixture
+    def nodes(self, monkeypatch):
+        """A cluster of two nodes with one core each, on this machine: the cluster, and the second node."""
+        monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        ray = pytest.importorskip("ray")
+        from ray.cluster_utils import Cluster
+
+        impatient = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
+        impatient |= {"health_check_timeout_ms": 2000, "health_check_failure_threshold": 2}
+        small = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+        head = small | {"include_dashboard": False, "_system_config": impatient}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        yield cluster, cluster.add_node(**small)
+        ray.shutdown()
+        cluster.shutdown()
+
+    def test_a_lost_node(self, monkeypatch, capsys, nodes):
+        """Two runs on two nodes, one of which is killed: its run goes on elsewhere, from the checkpoint that came."""
+        import cluster
+
+        machines, second = nodes
+        monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
+        monkeypatch.setattr(cluster, "CHECKPOINT_SECONDS", 0.0)
+        directories = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
+
+        def kill():
+            while not all((directory / "checkpoint.previous.pt").exists() for directory in directories):
+                time.sleep(0.05)
+            machines.remove_node(second, allow_graceful=False)
+
+        killer, logs = threading.Thread(target=kill), keep_logs(monkeypatch)
+        killer.start()
+        assert campaign(monkeypatch, "--ray", machines.address, "--seeds", 2, "--", "--pace", "0.1") == 0
+        killer.join()
+        assert seeds_of("ia2c-shared-pace=0.1") == {0: 20.0, 1: 20.0}
+        said = capsys.readouterr().err
+        assert said.count("its node was lost, it goes on elsewhere") == 1
+        assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
+        config = json.loads((directories[0] / "config.json").read_text())
+        assert config["commit"] == envs.provenance()["commit"]
+        assert not (directories[0] / "progress.json").exists() and not run.in_use(directories[0])
+
+    def test_files_take_the_place_of_others(self, tmp_path):
+        import cluster
+
+        directory = tmp_path / "run"
+        (directory / "wandb").mkdir(parents=True)
+        for name in ("checkpoint.previous.pt", "checkpoint.pt", "config.json", "lock"):
+            (directory / name).write_text("old")
+        cluster.write_files(directory, {"checkpoint.pt": b"new", "replay.bin": b"new"})
+        kept = {"checkpoint.pt": b"new", "replay.bin": b"new", "config.json": b"old"}
+        assert cluster.read_files(directory) == kept and (directory / "lock").read_text() == "old"
+
+    def test_a_checkpoint_without_its_replay_stays(self, tmp_path, monkeypatch):
+        import cluster
+
+        directory = tmp_path / "run"
+        directory.mkdir()
+        (directory / "checkpoint.pt").write_text("whole")
+        (directory / "replay.bin").write_text("much too large")
+        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 5)
+        assert cluster.read_files(directory) == {}
+        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 100)
+        assert sorted(cluster.read_files(directory)) == ["checkpoint.pt", "replay.bin"]
+
+    @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "auto"])
+    def test_no_cluster(self, monkeypatch, capsys, address):
+        assert campaign(monkeypatch, "--ray", address) == 2
+        assert f"no Ray cluster answers at {address}" in capsys.readouterr().err
