@@ -24,6 +24,7 @@ import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fast_mkl
@@ -34,6 +35,7 @@ from fast_mkl import NotPossible, preload
 from plan import Run, log_path
 
 import envs
+from envs.runs import describe
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
@@ -84,7 +86,7 @@ def write_files(directory: Path, files: dict[str, bytes]) -> None:
     """Files that have arrived take the place of those that are there, the checkpoints last: where this is cut short,
     the directory has none, and is known as damaged. OSError on a full disk, which leaves all as it was."""
     directory.mkdir(parents=True, exist_ok=True)
-    arrived = {name: directory / f"{name}.arriving" for name in files}
+    arrived = {name: directory / f"{name}.new" for name in files}
     try:
         for name, place in arrived.items():
             place.write_bytes(files[name])
@@ -220,6 +222,13 @@ class RayJob:
             self.trainer.stop.remote()
 
 
+def commit_here() -> str | None:
+    """The commit of this checkout, as a config.json that is made here has it."""
+    nothing = SimpleNamespace(total_timesteps=0)
+    commit: str | None = describe(__file__, nothing, nothing)["commit"]
+    return commit
+
+
 def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run], RayJob], Callable[[], int]]:
     """Joins a cluster: what makes a job of a run, and how many jobs there is room for (by default, the cores that the
     cluster has at the moment). InputError where no cluster answers at this address."""
@@ -233,5 +242,5 @@ def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run],
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     ray.cloudpickle.register_pickle_by_value(fast_mkl)
     begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()), fast)
-    start = functools.partial(RayJob, begin=begin, commit=envs.provenance()["commit"])
+    start = functools.partial(RayJob, begin=begin, commit=commit_here())
     return start, lambda: jobs or max(int(ray.cluster_resources().get("CPU", 0)), 1)

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import training
-from collect import PER_RUN
 from results import table_path
 
 import envs
+from envs.runs import changed_flags, parse_flags
 
 Flags = tuple[str, ...]
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
+OF_THIS_PROGRAM = ["env", "parameter_sharing", "seed", "run_dir", "resume", "watch"]  # flags that it gives itself
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Run:
     """One run of a script.
 
     flags: for the script, beyond task, seed and sharing. changed: the flags that differ from the paper's, by name, as
-    the run's config.json has them. replays: it keeps a replay on the disk while it lasts. directory: where it is kept.
+    the run's config.json has them. directory: where it is kept.
     """
 
     algorithm: str
@@ -36,7 +37,6 @@ class Run:
     flags: Flags
     changed: dict[str, Any]
     total_timesteps: int
-    replays: bool
     directory: Path
 
     def __str__(self) -> str:
@@ -149,24 +149,25 @@ def make_plan(
 def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: Path) -> tuple[dict[str, Any], Path]:
     """What all seeds of a setting have in common, and their folder."""
     module: Any = script(algorithm)
+    words = script_flags(task, sharing, flags)
     try:
-        args = vars(module.parse(script_flags(task, sharing, flags)))
+        args = parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
     except SystemExit:  # the script has said on stderr what is wrong
         raise envs.InputError(f"{algorithm} on {task} does not take the flags {' '.join(flags)}") from None
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
-    paper = vars(module.paper_defaults(task, sharing))
-    changed = {name: value for name, value in args.items() if name not in PER_RUN and value != paper[name]}
-    if refused := [name for name in ("seed", "run_dir", "resume", "watch") if args[name] != paper[name]]:
-        raise envs.InputError(f"--{refused[0].replace('_', '-')} is chosen by this program, run by run.")
+    paper = module.paper_defaults(task, sharing)
+    for name in OF_THIS_PROGRAM:
+        if getattr(args, name) != getattr(paper, name):
+            raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
+    changed = changed_flags(args, paper)
     setting = {
         "algorithm": algorithm,
         "task": task,
         "sharing": sharing,
         "flags": flags,
         "changed": changed,
-        "total_timesteps": args["total_timesteps"],
-        "replays": "buffer_size" in args,
+        "total_timesteps": args.total_timesteps,
     }
     return setting, table_path(runs, algorithm, task, sharing, changed)
 
@@ -189,19 +190,26 @@ class Damaged(Exception):
 def condition(run: Run) -> str:
     """What is there of a run: "new" (nothing to go on with), "begun", "complete". Raises Damaged.
 
-    A run that goes on writes config.json and evaluations.csv anew, so these two count only where it is complete.
+    A script that goes on makes config.json and evaluations.csv again from its checkpoint, so these two may be damaged.
     """
-    checkpoints = sorted(run.directory.glob("checkpoint*.pt"))
-    whole = [path for path in checkpoints if is_whole(path)]
-    if not (run.directory / "evaluations.csv").exists():  # written after the first checkpoint
-        return "begun" if whole else "new"
-    if not whole:
-        raise Damaged("it has no checkpoint that can be read")
-    if is_complete(run):
-        return "complete"
-    if run.replays and not (run.directory / "replay.bin").exists():
-        raise Damaged("it is not complete, and its replay.bin is gone")
-    return "begun"
+    checkpoints = list(run.directory.glob("checkpoint*.pt"))
+    if not any(is_whole(path) for path in checkpoints):
+        cut_off = [path.name for path in checkpoints] == ["checkpoint.new.pt"]  # the very first, while it was written
+        if (checkpoints and not cut_off) or (run.directory / "evaluations.csv").exists():
+            raise Damaged("it has no checkpoint that can be read")
+        return "new"
+    return "complete" if is_complete(run) else "begun"
+
+
+def drop_damaged_checkpoints(run: Run) -> list[str]:
+    """Removes checkpoints whose check sums are wrong, so that the script takes the one before; gives their names.
+
+    Loading them would not always tell: PyTorch does not look at the check sums.
+    """
+    damaged = [path for path in run.directory.glob("checkpoint*.pt") if not is_whole(path)]
+    for path in damaged:
+        path.unlink()
+    return [path.name for path in damaged]
 
 
 def is_whole(checkpoint: Path) -> bool:

@@ -17,6 +17,7 @@ import errno
 import functools
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -41,6 +42,7 @@ import envs
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 STOPPED = {code for number in SIGNALS for code in (-number, 128 + number)}  # exit codes of a run that was asked to stop
+DAMAGE = re.compile("is damaged|is gone|can be read")  # what a script says of a directory that it cannot go on with
 TIMING_SECONDS = 1.0
 MOST_LOSSES = 3  # a run whose node is lost more often has failed
 GRID_SEEDS, SEEDS = 3, 5  # as in the paper
@@ -163,9 +165,12 @@ class Campaign:
             if run.directory.exists():
                 with filelock.FileLock(run.directory / "lock", timeout=0):
                     try:
-                        if plan.condition(run) == "complete":
+                        there = plan.condition(run)
+                        if there == "complete":
                             self.collect(run)
                             return
+                        for name in plan.drop_damaged_checkpoints(run) if there == "begun" else []:
+                            self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
                     except Damaged as damage:
                         self.set_aside(run, damage)
             self.jobs[run.directory] = run, self.start(run)
@@ -178,14 +183,19 @@ class Campaign:
 
     def finish(self, run: Run, code: int, lost: bool) -> None:
         """A job has ended."""
+        said = last_line(plan.log_path(run))
+        damage = None
         try:
             there = plan.condition(run)
-            damage = Damaged("it ended without its last evaluation") if code == 0 and there != "complete" else None
+            if code == 0 and there != "complete":
+                damage = Damaged("it ended without its last evaluation")
+            if code == 2 and there == "begun" and DAMAGE.search(said):  # a damaged replay
+                damage = Damaged(said)
         except Damaged as found:
             there, damage = "damaged", found
         if there == "complete":
             self.collect(run)
-        elif lost or (damage and code == 0):
+        elif lost or (damage and code in (0, 2)):
             self.try_again(run, damage)
         elif in_use(run.directory):
             self.elsewhere.append(run)
@@ -193,7 +203,7 @@ class Campaign:
             plan.log_path(run).unlink(missing_ok=True)
             self.stopped.append(run)
         else:
-            reason = f"exit code {code}: {last_line(plan.log_path(run))}"
+            reason = f"exit code {code}: {said}"
             self.failed[run.directory] = f"{reason} (all it said: {plan.log_path(run)})"
             self.view.say(f"{run}: failed, {reason}")
             self.give_up_if_full(reason)

@@ -36,28 +36,39 @@ import envs  # noqa: E402
 
 STAND_IN = """
 import argparse, json, os, signal, sys, time, zipfile
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import filelock
 
 ALGORITHM = Path(__file__).stem
-SMALL = dict(total_timesteps=40, learning_rate=0.5, pace=0.002, trouble="", env="", seed=0, run_dir="", watch="")
-if ALGORITHM == "iql":
-    SMALL["buffer_size"] = 10
 
 
-def paper_defaults(env, parameter_sharing):
-    return SimpleNamespace(**SMALL | {"env": env, "parameter_sharing": parameter_sharing, "resume": False})
+@dataclass
+class Args:
+    env: str = ""
+    seed: int = 0
+    total_timesteps: int = 40
+    learning_rate: float = 0.5
+    pace: float = 0.002  # seconds for a step
+    trouble: str = ""  # what goes wrong
+    parameter_sharing: bool = True
+    device: str = "cpu"
+    run_dir: str = ""
+    resume: bool = False
+    watch: str = ""
+
+
+def paper_defaults(env="", parameter_sharing=True):
+    return Args(env=env, parameter_sharing=parameter_sharing)
 
 
 def parse(argv):
     parser = argparse.ArgumentParser(allow_abbrev=False)
-    for name, value in SMALL.items():
-        parser.add_argument("--" + name.replace("_", "-"), type=type(value), default=value)
-    parser.add_argument("--parameter-sharing", action=argparse.BooleanOptionalAction, default=True)
-    parser.add_argument("--resume", action="store_true")
-    return parser.parse_args(argv)
+    for name, value in vars(Args()).items():
+        words = {"action": argparse.BooleanOptionalAction} if isinstance(value, bool) else {"type": type(value)}
+        parser.add_argument("--" + name.replace("_", "-"), default=value, **words)
+    return Args(**vars(parser.parse_args(argv)))
 
 
 def progress_of(path):
@@ -80,12 +91,12 @@ def save(directory, args, timestep, rows):
     if (directory / "checkpoint.pt").exists():
         (directory / "checkpoint.pt").replace(directory / "checkpoint.previous.pt")
     (directory / "checkpoint.new.pt").replace(directory / "checkpoint.pt")
-    changed = {name: value for name, value in vars(args).items() if name in ("learning_rate", "total_timesteps")}
-    changed = {name: value for name, value in changed.items() if value != SMALL[name]}
-    if args.pace != SMALL["pace"]:
-        changed["pace"] = args.pace
-    if args.trouble:
-        changed["trouble"] = args.trouble
+    write_tables(directory, args, rows)
+
+
+def write_tables(directory, args, rows):
+    names = ("total_timesteps", "learning_rate", "pace", "trouble")
+    changed = {name: value for name, value in vars(args).items() if name in names and value != getattr(Args(), name)}
     config = {"algorithm": ALGORITHM, "flags": vars(args), "changed": changed, "paper_timesteps": 40, "commit": None}
     whole(directory / "config.json", json.dumps(config | {"version": "0", "preloaded": os.environ.get("LD_PRELOAD")}))
     names = "point timestep wall_seconds cpu_seconds return_mean return_std episode_length".split()
@@ -107,8 +118,14 @@ def main():
     found = [progress_of(directory / f"checkpoint{which}.pt") for which in ("", ".previous")]
     timestep, rows = next(filter(None, found), [0, []])
     print("begins at", timestep, flush=True)
-    if ALGORITHM == "iql":
+    if rows:
+        write_tables(directory, args, rows)
+    if args.trouble == "lies":
+        sys.exit()
+    if ALGORITHM == "iql" and timestep == 0:
         (directory / "replay.bin").touch()
+    if ALGORITHM == "iql" and timestep < args.total_timesteps and not (directory / "replay.bin").exists():
+        sys.exit(print(f"{directory / 'replay.bin'} is gone, so this run cannot go on.", file=sys.stderr) or 2)
     while True:
         if timestep % 10 == 0 and timestep // 10 == len(rows):
             rows.append([timestep // 10, timestep, 1.0, 1.0, args.learning_rate * timestep, 0.0, 25.0])
@@ -377,6 +394,13 @@ def keep_logs(monkeypatch):
     return logs
 
 
+def damage_checkpoint(path):
+    """Changes one bit in the middle of the data, which only the check sum tells."""
+    damaged = bytearray(path.read_bytes())
+    damaged[45] ^= 1
+    path.write_bytes(damaged)
+
+
 class TestDamage:
     """Directories damaged by hand are kept, and the run is made again."""
 
@@ -396,8 +420,8 @@ class TestDamage:
         assert logs["log-seed0.txt"].startswith("begins at 0\n")
 
     @pytest.mark.parametrize("change", ["cut", "point", "config"])
-    def test_of_a_complete_run(self, monkeypatch, capsys, complete, change):
-        """The script believes its checkpoint that all is done, and ends well without the evaluations."""
+    def test_of_tables_that_the_checkpoint_has(self, monkeypatch, complete, change):
+        """The script makes them again from its checkpoint; nothing is trained again."""
         table, config = complete / "evaluations.csv", complete / "config.json"
         lines = table.read_text().splitlines(keepends=True)
         if change == "cut":
@@ -406,28 +430,45 @@ class TestDamage:
             table.write_text("".join(lines[:2] + lines[3:]))
         else:
             config.write_text(config.read_text()[:-5])
-        self.reason = "it ended without its last evaluation"
-        self.redone(monkeypatch, capsys)
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert logs == {"log-seed0.txt": "begins at 40\n"} and seeds_of("ia2c-shared") == {0: 20.0}
+        assert table.read_text() == "".join(lines)
+
+    def test_that_does_not_heal(self, monkeypatch, capsys):
+        """A script that ends well without its evaluations: once more from the beginning, and no more."""
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--trouble", "lies") == 1
+        said = capsys.readouterr().out
+        assert "failed: matrix-climbing ia2c-shared-trouble=lies seed 0: it ended without its last evaluation" in said
+        assert len(list(Path("runs-damaged").rglob("seed0"))) == 1
 
     def test_of_all_checkpoints(self, monkeypatch, capsys, complete):
         for path in complete.glob("checkpoint*.pt"):
-            damaged = bytearray(path.read_bytes())
-            damaged[45] ^= 1  # in the middle of the data: only the check sum tells
-            path.write_bytes(damaged)
+            damage_checkpoint(path)
         self.reason = "it has no checkpoint that can be read"
         self.redone(monkeypatch, capsys)
 
-    def test_one_whole_checkpoint_suffices(self, monkeypatch, capsys, complete):
-        (complete / "checkpoint.pt").write_bytes(b"damaged")
-        monkeypatch.setattr(run, "LocalJob", None)  # no run may start
+    def test_of_all_files_but_checkpoints_that_are_damaged(self, monkeypatch, capsys, complete):
+        (complete / "evaluations.csv").unlink()
+        self.test_of_all_checkpoints(monkeypatch, capsys, complete)
+
+    def test_the_checkpoint_before_suffices(self, monkeypatch, capsys, complete):
+        """The run is gone on with from there, for 10 steps."""
+        damage_checkpoint(complete / "checkpoint.pt")
+        lines = (complete / "evaluations.csv").read_text().splitlines(keepends=True)
+        (complete / "evaluations.csv").write_text("".join(lines[:-1]))
+        logs = keep_logs(monkeypatch)
         assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert "checkpoint.pt is damaged, it goes on from another checkpoint" in capsys.readouterr().err
+        assert logs == {"log-seed0.txt": "begins at 30\n"} and seeds_of("ia2c-shared") == {0: 20.0}
         assert not Path("runs-damaged").exists()
 
     def test_of_a_replay(self, monkeypatch, capsys, complete):
+        """A complete run deletes it; here the last checkpoint is lost, too."""
         directory = folder_of(0, "iql-shared")
-        lines = (directory / "evaluations.csv").read_text().splitlines(keepends=True)
-        (directory / "evaluations.csv").write_text("".join(lines[:-1]))  # so it is not complete, and has no replay
-        self.reason = "it is not complete, and its replay.bin is gone"
+        (directory / "checkpoint.previous.pt").replace(directory / "checkpoint.pt")
+        (directory / "evaluations.csv").unlink()
+        self.reason = f"{(directory / 'replay.bin').resolve()} is gone, so this run cannot go on."
         self.redone(monkeypatch, capsys, "iql")
 
     def test_twice_damaged_is_kept_twice(self, monkeypatch, complete):
@@ -511,7 +552,7 @@ class TestView:
 
 def plan_of(directory):
     """Some run that is kept in this directory."""
-    return plan.Run("ia2c", "matrix-climbing", True, 0, (), {}, 40, False, directory)
+    return plan.Run("ia2c", "matrix-climbing", True, 0, (), {}, 40, directory)
 
 
 class TestDryRun:
@@ -595,9 +636,10 @@ def refuse(reason):
 
 class TestRay:
     @pytest.fixture
-    def nodes(self, monkeypatch):
+    def nodes(self, monkeypatch, tmp_path):
         """A cluster of two nodes with one core each, on this machine: the cluster, and the second node."""
         monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        monkeypatch.setenv("TMPDIR", str(tmp_path))
         ray = pytest.importorskip("ray")
         from ray.cluster_utils import Cluster
 
@@ -633,7 +675,7 @@ class TestRay:
         assert said.count("its node was lost, it goes on elsewhere") == 1
         assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
         config = json.loads((directories[0] / "config.json").read_text())
-        assert config["commit"] == envs.provenance()["commit"]
+        assert config["commit"] == cluster.commit_here()
         assert not (directories[0] / "progress.json").exists() and not run.in_use(directories[0])
 
     def test_files_take_the_place_of_others(self, tmp_path):
