@@ -175,7 +175,7 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
 def script(algorithm: str) -> Any:
     """algos/<algorithm>.py as a module, loaded once."""
     if algorithm not in SCRIPTS:
-        SCRIPTS[algorithm] = training.load_script(algorithm)
+        SCRIPTS[algorithm] = sys.modules[algorithm] = training.load_script(algorithm)  # tyro looks for it there
     return SCRIPTS[algorithm]
 
 
