@@ -17,6 +17,7 @@ from typing import Any
 
 import filelock
 import pandas as pd
+
 from results import RESULTS, read_settings, read_table, table_path, write_whole
 
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
@@ -39,7 +40,9 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     rows = pd.read_csv(path, float_precision="round_trip") if path.exists() and path.stat().st_size else pd.DataFrame()
     if rows.empty:
         raise ValueError(NOT_COMPLETE)
-    if not set(COLUMNS) <= set(rows.columns) or rows[COLUMNS].apply(pd.to_numeric, errors="coerce").isna().any(axis=None):
+    if not set(COLUMNS) <= set(rows.columns) or rows[COLUMNS].apply(pd.to_numeric, errors="coerce").isna().any(
+        axis=None
+    ):
         raise ValueError("its evaluations.csv is damaged")
     if rows["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
         raise ValueError(NOT_COMPLETE)
@@ -47,8 +50,10 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
 
 
 def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any], rows: pd.DataFrame) -> pd.DataFrame:
-    """The table with one seed more, and the seed's origin noted in the settings. Raises ValueError where it differs from
-    the other seeds in its flags, in its columns or in the number of its evaluations."""
+    """The table with one seed more; its origin is noted in the settings.
+
+    Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
+    """
     seed = config["flags"]["seed"]
     flags = {name: value for name, value in config["flags"].items() if name not in PER_RUN}
     known = settings.get("flags", {})
@@ -79,8 +84,8 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
 def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False) -> Path:
     """Puts a complete run into the results; gives the path of its table.
 
-    Raises ValueError, one sentence, where the run does not fit; OSError where it cannot be written. Then the results are
-    as they were. Several processes may collect into the same folder.
+    Raises ValueError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
+    then are as they were. Several processes may collect into the same folder.
     """
     config, rows = read_run(directory)
     flags = config["flags"]

@@ -1,78 +1,342 @@
-"""Our results beside the paper's, as a Markdown table.
+"""The benchmark's report, from benchmark/results/ and the paper's tables.
 
-    python benchmark/report.py [task ...]
+    python benchmark/report.py [--results benchmark/results] [--output benchmark] [--marl-eval <json>]
 
-Maximum: the mean over seeds at each evaluation point, then the best point; "at step 0" where that lies before the
-training, as the luck of random networks. Average: the mean over points and seeds. Last: the last point. Behind +-:
-2 s / sqrt(n), s the sample standard deviation over n seeds (for the average, of the seeds' own means); the paper's 95 %
-intervals are this with n = 5. Fewer seeds are marked with a star; a single one has no interval. A number of steps
-behind the algorithm is a budget other than the paper's: its average does not compare.
+writes into the output folder
+
+    README.md      tables, figures and claims, between two markers; what stands around them stays
+    figures/       the figures, PNG and SVG
+    latex/         the paper's tables with our values, one file each
+
+and, where the output is this folder, the short version in the repository's README.md. `--marl-eval` also writes the
+evaluations in marl-eval's JSON, for other programs.
 """
 
 import argparse
-import csv
+import hashlib
 import json
-import re
-from collections import defaultdict
+import textwrap
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
-HERE = Path(__file__).resolve().parent
-PAPER_SEEDS = 5
+import aggregate
+import claims
+import plots
+import tables
+from results import (
+    ALGORITHMS,
+    FAMILIES,
+    HERE,
+    KEY,
+    PAPER_CPU_HOURS,
+    PAPER_RUNS,
+    PAPER_SETTING,
+    RESULTS,
+    in_tables,
+    load,
+    our_cells,
+    paper_cells,
+    speeds,
+    write_whole,
+)
+
+BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
+END = "<!-- results: end -->"
+SHARED = {True: "with parameter sharing", False: "without parameter sharing"}
+FILE = {True: "shared", False: "independent"}
 
 
-def mean_and_interval(values: np.ndarray) -> str:
-    """values: one for each seed."""
-    if len(values) == 1:
-        return f"{values[0]:.2f}"
-    return f"{values.mean():.2f} +- {2 * values.std(ddof=1) / np.sqrt(len(values)):.2f}"
+class Report:
+    """Everything that the report is made of."""
+
+    def __init__(self, results: Path):
+        self.evaluations = load(results)
+        self.shown = in_tables(self.evaluations)
+        self.ours, self.paper = our_cells(self.evaluations), paper_cells()
+        self.both = tables.compare(self.ours, self.paper)
+        self.normalised = aggregate.normalise(self.evaluations)
+        self.hours = aggregate.cpu_hours(self.evaluations)
+        self.speeds = speeds(results)
+        self.digest = digest(results)
+
+    def figures(self) -> dict[str, Callable[[], Figure]]:
+        """What draws each figure that there are results for, by its name."""
+        made: dict[str, Callable[[], Figure]] = {}
+        for family in (*FAMILIES, "other"):
+            for sharing, name in FILE.items():
+                if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
+                    made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
+        for sharing, name in FILE.items():
+            if (self.normalised["sharing"] == sharing).any():
+                made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
+                made[f"profiles-{name}"] = partial(plots.profiles, self.normalised, sharing)
+        if len(aggregate.sharing_means(self.ours)):
+            made["sharing"] = partial(plots.sharing_effect, self.ours, self.paper)
+        if len(self.hours):
+            made["cpu-hours"] = partial(plots.cpu_hours, self.hours)
+        if len(self.speeds):
+            made["speed"] = partial(plots.simulation_speed, self.speeds)
+        return made
+
+    def agreement(self) -> str:
+        """How many of our values agree with the paper's."""
+        sentences = []
+        for metric, name in (("average_return", "average returns"), ("max_return", "maximum returns")):
+            cells = self.both[(self.both["metric"] == metric) & self.comparable()]
+            near = int((cells["difference"].abs() <= 1).sum())
+            sentences.append(f"{near} of {len(cells)} {name}")
+        return (
+            f"Of our values with the paper's budget, {' and '.join(sentences)} are no further from the paper's than "
+            "both intervals together."
+        )
+
+    def comparable(self) -> pd.Series:
+        """Which cells have the paper's budget and a value of the paper that can be."""
+        return ~self.both["other_budget"] & ~self.both["impossible"] & self.both["difference"].notna()
+
+    def differences(self) -> str:
+        """The cells that are further from the paper's than both intervals together."""
+        cells = self.both[self.comparable() & (self.both["difference"].abs() > 1)]
+        cells = cells[cells["metric"].isin(["average_return", "max_return", "max_win_rate"])]
+        cells = cells.reindex(cells["difference"].abs().sort_values(ascending=False, kind="stable").index)
+        header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference"]
+        body = [
+            [
+                tables.TITLES[cell.metric],
+                cell.task,
+                cell.algorithm.upper(),
+                "yes" if cell.sharing else "no",
+                str(cell.seeds),
+                tables.number(cell.value, cell.interval),
+                tables.number(cell.paper_mean, cell.paper_interval),
+                f"{cell.difference:+.1f}",
+            ]
+            for cell in cells.rename(columns={"mean": "value"}).itertuples()
+        ]
+        return tables.to_markdown(header, body) if body else "None."
+
+    def interquartile_means(self, sharing: bool) -> str:
+        """By algorithm and family, with intervals where all tasks have several seeds; tasks and runs in brackets."""
+        families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
+        scores = {name: aggregate.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
+        body = []
+        for algorithm in ALGORITHMS:
+            cells = []
+            for name in families:
+                tasks = list(scores[name].get((algorithm, sharing), {}).values())
+                cells.append(score_text(tasks) if tasks else "")
+            if any(cells):
+                body.append([algorithm.upper(), *cells])
+        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
+
+    def improvements(self, sharing: bool) -> str:
+        """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
+        scores = aggregate.final_scores(self.normalised)
+        present = [name for name in ALGORITHMS if (name, sharing) in scores]
+        body = []
+        for name in present:
+            cells = []
+            for other in present:
+                ours, theirs = scores[name, sharing], scores[other, sharing]
+                common = sorted(ours.keys() & theirs.keys())
+                if other == name or not common:
+                    cells.append("")
+                    continue
+                values = aggregate.with_interval(
+                    aggregate.probability_of_improvement,
+                    [ours[task] for task in common],
+                    [theirs[task] for task in common],
+                )
+                cells.append("{:.2f} [{:.2f}, {:.2f}]".format(*values))
+            body.append([name.upper(), *cells])
+        return tables.to_markdown(["", *map(str.upper, present)], body) if body else ""
+
+    def cpu_table(self) -> str:
+        """Mean CPU hours of a run by algorithm and family."""
+        families = [name for name in FAMILIES if name in self.hours.index.get_level_values("family")]
+        body = []
+        for algorithm in ALGORITHMS:
+            for sharing in (True, False):
+                keys = [(name, algorithm, sharing) for name in families]
+                rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]
+                cells = ["" if row is None else f"{row['mean']:.3f} ({row['runs']:.0f})" for row in rows]
+                if any(cells):
+                    body.append([f"{algorithm.upper()}, {SHARED[sharing]}", *cells])
+        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body)
+
+    def cpu_sentence(self) -> str:
+        """What all runs took together, beside the paper's."""
+        total, runs = self.hours["total"].sum(), int(self.hours["runs"].sum())
+        return (
+            f"These {runs} runs took {total:,.1f} CPU hours, {total / runs:.2f} a run. The paper's "
+            f"{PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC had "
+            "five cores each."
+        )
+
+    def speed_table(self) -> str:
+        """Steps per second of each task, the paper's, the original package's and ours."""
+        wide = self.speeds.pivot_table(index="task", columns="whose", values="steps_per_second")
+        columns = list(dict.fromkeys(self.speeds["whose"]))
+        body = []
+        for task in tables.in_order(wide.index):
+            values = [wide.loc[task, column] for column in columns]
+            body.append([task, *("-" if np.isnan(value) else f"{value:,.0f}" for value in values)])
+        return tables.to_markdown(["task", *columns], body)
+
+    def claims_table(self) -> str:
+        """The paper's claims, judged by its own tables and by our results."""
+        body = []
+        verdicts = zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours))
+        for (place, sentence, _), paper, ours in verdicts:
+            body.append([place, sentence, paper.verdict, ours.verdict, ours.figures])
+        return tables.to_markdown(["section", "claim", "by the paper's tables", "by our results", "our figures"], body)
+
+    def long(self) -> str:
+        """What stands in benchmark/README.md."""
+        seeds = self.evaluations.groupby([*KEY, "seed"]).ngroups
+        tasks = self.evaluations["task"].nunique()
+        parts = [f"{seeds} runs on {tasks} tasks. {self.agreement()}"]
+        parts += ["### Tables", tables.LEGEND]
+        for metric, title in tables.TITLES.items():
+            for sharing, words in SHARED.items():
+                if table := tables.markdown(self.both, metric, sharing):
+                    parts += [f"#### {title}, {words}", table]
+        parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
+        if table := tables.variants(self.evaluations, self.ours):
+            parts += ["#### Other flags and budgets", table]
+        parts += ["### Figures"]
+        for name in self.figures():
+            parts.append(f"![{name}](figures/{name}.png)")
+        parts += ["### Over all tasks", OVER_ALL]
+        for sharing, words in SHARED.items():
+            if table := self.interquartile_means(sharing):
+                parts += [f"#### Interquartile means, {words}", table]
+        for sharing, words in SHARED.items():
+            if table := self.improvements(sharing):
+                parts += [f"#### Probability of improvement, {words}", table]
+        if len(self.hours):
+            parts += ["### CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
+        if len(self.speeds):
+            parts += ["### Simulation speed, environment steps per second on one core", self.speed_table()]
+        parts += ["### The paper's claims", self.claims_table()]
+        return paragraphs(parts)
+
+    def short(self) -> str:
+        """What stands in the repository's README.md."""
+        parts = [
+            "Default flags, seeds from 0 on. The evaluations, and commit, versions and machine of each seed, are in "
+            "[benchmark/results/](benchmark/results). Maximum returns with parameter sharing and the paper's budgets, "
+            "the paper's in brackets (a small number: so many seeds instead of five; °: the maximum lies before "
+            "training, and is the luck of random networks):",
+            tables.short(self.both),
+            f"{self.agreement()} Intervals, average returns, learning curves of every task, CPU hours and the paper's "
+            "claims one by one are in [benchmark/README.md](benchmark/README.md).",
+        ]
+        if "normalised-shared" in self.figures():
+            parts.append("![Normalised returns over training](benchmark/figures/normalised-shared.png)")
+        return paragraphs(parts)
 
 
-def paper_cell(paper: dict[tuple[str, ...], tuple[str, str]], *key: str) -> str:
-    """A cell of the paper's tables, a dash where it has none."""
-    return "{} +- {}".format(*paper[key]) if key in paper else "-"
+OVER_ALL = """\
+Scores are the returns at the last evaluation, normalised on each task by the lowest and highest return that any run had
+there at any time. Interquartile mean: the mean of the middle half of the runs. Probability of improvement: how probably
+a run of the line's algorithm is above one of the column's on the same task, over the tasks that both have. In square
+brackets 95 % intervals from 2,000 bootstrap samples, drawn task by task; in round ones tasks and runs. Algorithms that
+were run on different tasks do not compare in the first table."""
+
+
+def paragraphs(parts: list[str]) -> str:
+    """Markdown of these parts; what is not a table, a picture or a heading in lines of 120 characters."""
+    filled = [
+        part if part.startswith(("|", "!", "#")) else textwrap.fill(part, 120, break_on_hyphens=False) for part in parts
+    ]
+    return "\n\n".join(filled)
+
+
+def score_text(tasks: list[np.ndarray]) -> str:
+    """The interquartile mean of some tasks' scores as text."""
+    mean, low, high = aggregate.with_interval(aggregate.interquartile_mean, tasks)
+    bounds = f" [{low:.2f}, {high:.2f}]" if min(map(len, tasks)) > 1 else ""
+    return f"{mean:.2f}{bounds} ({len(tasks)}, {sum(map(len, tasks))})"
+
+
+def digest(results: Path) -> str:
+    """A hash of all results, by which a figure says what it was drawn from."""
+    found = hashlib.sha256()
+    for path in sorted(results.glob("**/*.csv")) + sorted(results.glob("*/*.json")):
+        found.update(path.relative_to(results).as_posix().encode())
+        found.update(path.read_text().encode())  # as text: line ends depend on the checkout
+    return found.hexdigest()
+
+
+def marl_eval(evaluations: pd.DataFrame) -> dict:
+    """The runs with the paper's settings as marl-eval reads them: by environment, task, algorithm, run and step.
+
+    An evaluation is one number, the mean of its episodes. The absolute metric, which marl-eval takes from ten times as
+    many episodes of the best policy, is the run's best evaluation here.
+    """
+    made: dict = {}
+    chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
+    for (family, task, algorithm, sharing, seed), run in chosen.groupby(
+        ["family", "task", "algorithm", "sharing", "seed"], sort=False
+    ):
+        steps = {
+            f"step_{row.point}": {
+                "step_count": row.timestep,
+                "elapsed_time": row.wall_seconds,
+                "return": [row.return_mean],
+            }
+            for row in run.itertuples()
+        }
+        steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
+        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
+        runs[f"seed_{seed}"] = steps
+    return made
+
+
+def between_markers(path: Path, text: str) -> str:
+    """The file's text with `text` between the markers; a new one where there is no file. Raises ValueError where a file
+    lacks the markers."""
+    whole = path.read_text(encoding="utf-8") if path.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
+    before, begin, rest = whole.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"{path} does not have the two lines between which the results stand: {BEGIN} and {END}")
+    return f"{before}{BEGIN}\n\n{text}\n\n{END}{after}"
 
 
 def main() -> None:
-    """Prints the table."""
-    paths = sorted((HERE / "results").glob("*/*.csv"))
+    """Writes the report. Wrong input ends with one sentence and exit code 2."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", metavar="task", help="only these; default: all that have results")
-    chosen = parser.parse_args().tasks
-    if unknown := sorted(set(chosen) - {path.parent.name for path in paths}):
-        parser.error(f"there are no results of {', '.join(unknown)}")
-    with open(HERE / "paper" / "returns.csv") as file:
-        rows = list(csv.DictReader(file))
-    keys = ("metric", "parameter_sharing", "task", "algorithm")
-    paper = {tuple(row[key] for key in keys): (row["mean"], row["ci95"]) for row in rows}
-    print("| task | algorithm | seeds | maximum | paper | average | paper | last |")
-    print("|---|---|---|---|---|---|---|---|")
-    for path in paths:
-        task, (algorithm, sharing, *rest) = path.parent.name, path.stem.split("-", 2)
-        changed = re.findall("[a-z][a-z-]*=.*?(?=-[a-z][a-z-]*=|$)", "".join(rest))  # <flag>=<value> each
-        if chosen and task not in chosen:
-            continue
-        curves = defaultdict(list)
-        with open(path) as file:
-            for row in csv.DictReader(file):
-                curves[row["seed"]].append(float(row["return_mean"]))
-        returns = np.array(list(curves.values()))  # [seed, point]
-        best = returns.mean(0).argmax()
-        shared = "yes" if sharing == "shared" else "no"
-        name = algorithm if shared == "yes" else f"{algorithm}, no sharing"
-        budget = json.loads(path.with_suffix(".json").read_text())["flags"]["total_timesteps"]
-        cells = [
-            task,
-            name + "".join(f", {budget:,} steps" if "total-timesteps" in flag else f", {flag}" for flag in changed),
-            f"{len(returns)}{'' if len(returns) >= PAPER_SEEDS else '*'}",
-            mean_and_interval(returns[:, best]) + (" at step 0" if best == 0 else ""),
-            paper_cell(paper, "max_return", shared, task, algorithm),
-            mean_and_interval(returns.mean(1)),
-            "-" if changed else paper_cell(paper, "average_return", shared, task, algorithm),
-            mean_and_interval(returns[:, -1]),
-        ]
-        print("| " + " | ".join(cells) + " |")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--output", type=Path, default=HERE)
+    parser.add_argument("--marl-eval", type=Path, help="also write the evaluations to this file, in marl-eval's JSON")
+    args = parser.parse_args()
+    try:
+        report = Report(args.results)
+        (args.output / "figures").mkdir(parents=True, exist_ok=True)
+        (args.output / "latex").mkdir(exist_ok=True)
+        texts = {args.output / "README.md": between_markers(args.output / "README.md", report.long())}
+        if args.output.resolve() == HERE:
+            texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
+        for metric in tables.TITLES:
+            for sharing, name in FILE.items():
+                if table := tables.latex(report.both, metric, sharing):
+                    texts[args.output / "latex" / f"{metric.replace('_', '-')}-{name}.tex"] = table
+        if args.marl_eval:
+            texts[args.marl_eval] = json.dumps(marl_eval(report.evaluations))
+        for name, draw in report.figures().items():
+            plots.save(draw(), args.output / "figures" / name, report.digest)
+        for path, text in texts.items():
+            write_whole(path, text)
+    except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
+        parser.error(str(error))
+    print(f"{len(texts)} texts and {len(report.figures())} figures are in {args.output}.")
 
 
 if __name__ == "__main__":

@@ -29,6 +29,8 @@ PAPER = HERE / "paper"
 ALGORITHMS = ("iql", "ia2c", "ippo", "maddpg", "coma", "maa2c", "mappo", "vdn", "qmix")  # as in the paper's tables
 FAMILIES = {"matrix": "Matrix games", "mpe": "MPE", "smac": "SMAC", "lbf": "LBF", "rware": "RWARE"}
 PAPER_SEEDS = 5
+PAPER_RUNS = 2250  # 9 algorithms, 25 tasks, with and without sharing, 5 seeds
+PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
 KEY = ["task", "algorithm", "sharing", "setting"]
 LONGEST_NAME = 200  # file systems stop at 255
@@ -172,7 +174,52 @@ def paper_returns() -> pd.DataFrame:
     return table.rename(columns={"ci95": "interval"}).drop(columns="parameter_sharing")
 
 
-def paper_speed() -> pd.DataFrame:
-    """The paper's table of simulation speeds, with a column steps_per_second."""
-    table = pd.read_csv(PAPER / "env_speed.csv")
-    return table.assign(steps_per_second=10_000 / table["seconds_per_10000_steps"])
+def speeds(results: Path = RESULTS) -> pd.DataFrame:
+    """Simulation speeds: task, family, whose ("the paper", "original package", "ours, num_envs=10"),
+    steps_per_second. Ours and the original packages' were written by `stepping.py --output`; the paper's are those of
+    the same tasks."""
+    file = results / "stepping.csv"
+    measured = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=["task", "whose", "steps_per_second"])
+    paper = pd.read_csv(PAPER / "env_speed.csv")
+    paper = paper.assign(whose="the paper", steps_per_second=10_000 / paper["seconds_per_10000_steps"])
+    paper = paper[paper["task"].isin(measured["task"].map(paper_task))]
+    both = pd.concat([paper, measured])[["task", "whose", "steps_per_second"]]
+    return both.assign(family=both["task"].map(family))
+
+
+def paper_cells() -> pd.DataFrame:
+    """The paper's tables as cells: a row for each metric, sharing, task and algorithm with mean, interval and seeds."""
+    return paper_returns().assign(seeds=PAPER_SEEDS)
+
+
+def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The evaluations that the paper's tables and curves show: of each task, algorithm and sharing the paper's setting,
+    or where its budget is missing, the longest other one."""
+    budgets = evaluations[[*KEY, "total_timesteps"]].drop_duplicates()
+    budgets = budgets[[set(json.loads(setting)) <= {"total_timesteps"} for setting in budgets["setting"]]]
+    budgets = budgets.assign(other_budget=budgets["setting"] != PAPER_SETTING)
+    budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
+    chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
+    return evaluations.merge(chosen, on=KEY)
+
+
+def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The results `in_tables` as cells in the form of `paper_cells`, with the further metric last_return.
+
+    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with.
+    """
+    chosen = in_tables(evaluations)
+    settings = chosen[[*KEY, "total_timesteps", "other_budget"]].drop_duplicates()
+    parts = []
+    for column, prefix in {"return_mean": "return", "battle_won": "win_rate"}.items():
+        if column not in chosen:
+            continue
+        summary = settings.merge(summarise(chosen, column).reset_index(), on=KEY)
+        for measure in ("maximum", "average", "last"):
+            metric = f"{'max' if measure == 'maximum' else measure}_{prefix}"
+            cells = summary.assign(metric=metric, mean=summary[measure], interval=summary[f"{measure}_interval"])
+            parts.append(cells.assign(at_start=(summary["maximum_point"] == 0) & (measure == "maximum")))
+    cells = pd.concat(parts, ignore_index=True).rename(columns={"total_timesteps": "timesteps"})
+    cells["paper_task"] = cells["task"].map(paper_task)
+    columns = ["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"]
+    return cells[[*columns, "timesteps", "other_budget", "at_start", "paper_task"]]

@@ -1,9 +1,11 @@
-"""Environment steps per second with random actions, ours and the original package's beside it, on one thread.
+"""Environment steps per CPU second with random actions, ours and the original package's beside it, on one thread.
 
-    python benchmark/stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2]
+    python benchmark/stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2] [--output <csv>]
 
 One step is one action of every agent in one sub-environment, observations included; the actions are drawn beforehand,
-and episodes are reset when the time limit comes. Pin it to a core: `taskset -c 0 python benchmark/stepping.py`.
+and episodes are reset when the time limit comes. The column "paper" is the paper's own figure, from another machine.
+With --output the figures also go to a CSV, where they take the place of those of the same tasks. Pin it to a core:
+`taskset -c 0 python benchmark/stepping.py`.
 """
 
 from __future__ import annotations
@@ -14,21 +16,25 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import envs
+from results import PAPER, paper_task, write_whole
 
 ACTIONS = 1000  # joint actions drawn beforehand
 
 
 def rate(play: Callable[[], int], seconds: float) -> float:
-    """The most steps per second in five measurements that together take so many seconds; play returns its steps."""
+    """The most steps per CPU second in five measurements that together take so many; play returns its steps."""
     play()
     best = 0.0
     for _ in range(5):
-        steps, start = 0, time.perf_counter()
-        while (passed := time.perf_counter() - start) < seconds / 5:
+        steps, start = 0, time.process_time()
+        while (passed := time.process_time() - start) < seconds / 5:
             steps += play()
         best = max(best, steps / passed)
     return best
@@ -84,6 +90,24 @@ def original(name: str) -> Callable[[], int] | None:
     return play
 
 
+def label(num_envs: int) -> str:
+    """How the CSV and the figure call our environments."""
+    return f"ours, num_envs={num_envs}"
+
+
+def keep(path: Path, task: str, speeds: dict[str, float]) -> None:
+    """Puts the speeds of a task into the CSV, in place of those that it has; notes the processor and the commit."""
+    origin = envs.provenance()
+    machine: Any = origin["machine"]
+    rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": list(speeds.values())})
+    rows["steps_per_second"] = rows["steps_per_second"].round().astype(int)
+    rows = rows.assign(processor=machine["processor"], commit=origin["commit"])
+    if path.exists():
+        there = pd.read_csv(path)
+        rows = pd.concat([there[there["task"] != task], rows])
+    write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
+
+
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -91,6 +115,7 @@ def main() -> None:
     parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100])
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")
     parser.add_argument("--copy", action="store_true", help="measure with copy=True")
+    parser.add_argument("--output", type=Path, help="a CSV, as benchmark/results/stepping.csv")
     args = parser.parse_args()
     try:
         for name in args.tasks:
@@ -100,12 +125,21 @@ def main() -> None:
     if min(args.num_envs) < 1 or args.seconds <= 0:
         parser.error("--num-envs and --seconds must be positive")
 
-    print(f"{'task':<24}{'original':>12}" + "".join(f"{number:>12} envs" for number in args.num_envs))
+    table = pd.read_csv(PAPER / "env_speed.csv", index_col="task")
+    paper = 10_000 / table["seconds_per_10000_steps"]
+    print(f"{'task':<24}{'paper':>12}{'original':>12}" + "".join(f"{number:>12} envs" for number in args.num_envs))
     for name in args.tasks:
-        play = original(name)
-        cells = [f"{rate(play, args.seconds):>12,.0f}" if play else f"{'-':>12}"]
-        cells += [f"{rate(ours(name, number, args.copy), args.seconds):>17,.0f}" for number in args.num_envs]
+        speeds = {}
+        if play := original(name):
+            speeds["original package"] = rate(play, args.seconds)
+        for number in args.num_envs:
+            speeds[label(number)] = rate(ours(name, number, args.copy), args.seconds)
+        theirs = paper.get(paper_task(name))
+        cells = [f"{value:>12,.0f}" if value else f"{'-':>12}" for value in (theirs, speeds.get("original package"))]
+        cells += [f"{speeds[label(number)]:>17,.0f}" for number in args.num_envs]
         print(f"{name:<24}" + "".join(cells), flush=True)
+        if args.output:
+            keep(args.output, name, speeds)
 
 
 if __name__ == "__main__":

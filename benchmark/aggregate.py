@@ -1,0 +1,108 @@
+"""What a set of runs says of an algorithm as a whole: normalised returns, and the measures of Agarwal et al. (2021),
+"Deep Reinforcement Learning at the Edge of the Statistical Precipice", with stratified-bootstrap intervals.
+
+Scores are lists of arrays, one array a task, one number a seed: tasks may have different numbers of seeds. A bootstrap
+sample draws as many seeds as there are, with replacement, within each task by itself (the strata). Intervals are the
+2.5 and 97.5 percentiles of 2,000 samples.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from scipy.stats import trim_mean
+
+from results import KEY, PAPER_SETTING, family, paper_returns, paper_task
+
+SAMPLES = 2000
+PERCENTILES = (2.5, 97.5)
+
+
+def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The evaluations of the paper's tasks, setting and budget, and a column normalised in [0, 1]: the paper's formula
+
+        norm_G = (G - min G) / (max G - min G)
+
+    with min and max over all that was measured on the task: algorithms, seeds, points, with and without sharing. A
+    task on which nothing ever changed is left out.
+    """
+    in_paper = evaluations["task"].map(paper_task).isin(paper_returns()["task"])
+    chosen = evaluations[in_paper & (evaluations["setting"] == PAPER_SETTING)]
+    returns = chosen.groupby("task")["return_mean"]
+    low, high = returns.transform("min"), returns.transform("max")
+    chosen = chosen.assign(normalised=(chosen["return_mean"] - low) / (high - low).where(high > low))
+    return chosen.dropna(subset=["normalised"])
+
+
+def final_scores(normalised: pd.DataFrame) -> dict[tuple[str, bool], dict[str, np.ndarray]]:
+    """For each (algorithm, sharing) and task the seeds' normalised returns at the last point."""
+    last = normalised.sort_values("point").groupby([*KEY, "seed"]).last().reset_index()
+    scores: dict[tuple[str, bool], dict[str, np.ndarray]] = {}
+    for (task, algorithm, sharing), rows in last.groupby(["task", "algorithm", "sharing"]):
+        scores.setdefault((algorithm, sharing), {})[task] = rows["normalised"].to_numpy()
+    return scores
+
+
+def resample(scores: list[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
+    """Bootstrap samples: for each task an array [SAMPLES, seeds]."""
+    return [values[rng.integers(len(values), size=(SAMPLES, len(values)))] for values in scores]
+
+
+def with_interval(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> np.ndarray:
+    """A measure of one or two teams' scores with its interval: [3, ...], the measure, its lower and its upper bound.
+
+    measure: takes for each team a list of arrays [sample, seed], one a task, and gives an array [sample, ...].
+    """
+    rng = np.random.default_rng(0)
+    point = measure(*([values[None] for values in team] for team in teams))[0]
+    sampled = measure(*(resample(team, rng) for team in teams))
+    return np.stack([point, *np.percentile(sampled, PERCENTILES, axis=0)])
+
+
+def interquartile_mean(scores: list[np.ndarray]) -> np.ndarray:
+    """[sample]: the mean of the middle half of all runs' scores, whatever their tasks; less noisy than a median."""
+    return trim_mean(np.concatenate(scores, axis=1), 0.25, axis=1)
+
+
+def probability_of_improvement(scores: list[np.ndarray], others: list[np.ndarray]) -> np.ndarray:
+    """[sample]: how probably a run of the first team beats one of the second on the same task, a tie counting half; the
+    mean over tasks. Both lists have the same tasks in the same order."""
+    by_task = []
+    for ours, theirs in zip(scores, others):
+        pairs = np.sign(ours[:, :, None] - theirs[:, None, :])  # [sample, our seed, their seed]
+        by_task.append((pairs.mean(axis=(1, 2)) + 1) / 2)
+    return np.mean(by_task, axis=0)
+
+
+def performance_profile(thresholds: np.ndarray) -> Callable[[list[np.ndarray]], np.ndarray]:
+    """A measure [sample, threshold]: which share of all runs scores above each threshold."""
+
+    def measure(scores: list[np.ndarray]) -> np.ndarray:
+        runs = np.sort(np.concatenate(scores, axis=1), axis=1)
+        not_above = np.stack([np.searchsorted(sample, thresholds, side="right") for sample in runs])
+        return 1 - not_above / runs.shape[1]
+
+    return measure
+
+
+def sharing_means(cells: pd.DataFrame) -> pd.DataFrame:
+    """Normalised maximum returns by (family, sharing): mean, error (standard error) and count over the pairs of task
+    and algorithm that have both; cells as `results.our_cells`. Range: the maximum returns of all algorithms on the
+    task, with and without sharing."""
+    chosen = cells[cells["metric"] == "max_return"]
+    if "other_budget" in chosen:
+        chosen = chosen[~chosen["other_budget"]]
+    means = chosen.groupby("task")["mean"]
+    low, high = means.transform("min"), means.transform("max")
+    chosen = chosen.assign(normalised=(chosen["mean"] - low) / (high - low).where(high > low))
+    chosen = chosen.assign(family=chosen["task"].map(family)).dropna(subset=["normalised"])
+    both = chosen.groupby(["task", "algorithm"])["sharing"].transform("nunique") == 2
+    by_family = chosen[both].groupby(["family", "sharing"])["normalised"]
+    return by_family.agg(["mean", "count"]).assign(error=by_family.sem())
+
+
+def cpu_hours(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """CPU hours of the runs with the paper's setting and budget, by (family, algorithm, sharing): runs, total, mean."""
+    chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
+    runs = chosen.groupby(["family", *KEY, "seed"])["cpu_seconds"].max() / 3600
+    return runs.groupby(["family", "algorithm", "sharing"]).agg(runs="count", total="sum", mean="mean")

@@ -1,0 +1,256 @@
+"""The figures: one function each, which draws a matplotlib figure from tables of `results` that are not empty.
+
+An algorithm has the same colour and line everywhere. The colours are Paul Tol's "muted" scheme, made to be told apart
+by the colour-blind; the lines help where colours do not: value-based methods are dashed, MADDPG and COMA dotted.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from PIL import Image, PngImagePlugin
+
+import aggregate
+from results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, interval
+from tables import in_order
+
+COLOURS = {
+    "iql": "#999933",
+    "vdn": "#DDAA33",
+    "qmix": "#117733",
+    "ia2c": "#88CCEE",
+    "maa2c": "#332288",
+    "ippo": "#CC6677",
+    "mappo": "#882255",
+    "maddpg": "#44AA99",
+    "coma": "#AA4499",
+}
+LINES: dict[str, Any] = {name: (0, (5, 2)) for name in ("iql", "vdn", "qmix")} | {
+    name: (0, (1.5, 1)) for name in ("maddpg", "coma")
+}
+SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
+DOTS_PER_INCH = 110
+PNG_COLOURS = 64
+LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
+NARROWEST = 8.5  # inches, so that the legend has room
+
+plt.rcParams.update(
+    {
+        "axes.grid": True,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "figure.constrained_layout.use": True,
+        "font.size": 9,
+        "grid.alpha": 0.3,
+        "svg.fonttype": "none",
+        "svg.hashsalt": "marl-baselines",  # the same figure is the same file
+    }
+)
+
+
+def save(figure: Figure, path: Path, source: str) -> None:
+    """Writes path.svg and path.png, the PNG with few colours, since it is kept in the repository, and with `source`,
+    what it was drawn from, in its metadata."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the panels have their places now; saving would compute them again
+    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(path.with_suffix(".png"), dpi=DOTS_PER_INCH)
+    plt.close(figure)
+    noted = PngImagePlugin.PngInfo()
+    noted.add_text("Source", source)
+    with Image.open(path.with_suffix(".png")) as image:
+        small = image.convert("RGB").quantize(PNG_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    small.save(path.with_suffix(".png"), optimize=True, pnginfo=noted)
+
+
+def panels(number: int, columns: int, x: str, y: str, share_y: bool = False) -> tuple[Figure, list[Axes]]:
+    """A figure of equal panels, no more columns than wanted; x and y say what the axes are, at the border."""
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    size = (max(3.0 * columns, NARROWEST), 2.3 * rows + 0.7)
+    figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, sharey=share_y)
+    for unused in axes.flat[number:]:
+        unused.remove()
+    for place, panel in enumerate(axes.flat[:number]):
+        if place + columns >= number:
+            panel.set_xlabel(x)
+        if place % columns == 0:
+            panel.set_ylabel(y)
+    return figure, list(axes.flat[:number])
+
+
+def legend(figure: Figure, algorithms: Any) -> None:
+    """One legend below all panels."""
+    drawn = set(algorithms)
+    present = [name for name in ALGORITHMS if name in drawn]
+    handles = [Line2D([], [], color=COLOURS[name], linestyle=LINES.get(name, "-"), lw=2) for name in present]
+    figure.legend(
+        handles,
+        [name.upper() for name in present],
+        loc="outside lower center",
+        ncols=9,
+        columnspacing=1.0,
+        handlelength=2.6,
+        frameon=False,
+    )
+
+
+def curve(axes: Axes, algorithm: str, x: Any, mean: Any, spread: Any) -> None:
+    """One algorithm's line with its interval as a band."""
+    axes.plot(x, mean, color=COLOURS[algorithm], linestyle=LINES.get(algorithm, "-"), lw=1.3)
+    axes.fill_between(x, mean - spread, mean + spread, color=COLOURS[algorithm], alpha=0.2, lw=0)
+
+
+def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataFrame]]:
+    """For each algorithm, by its points: x (the share of the paper's budget), mean and interval.
+
+    The mean of the tasks' means over seeds; its interval comes from those of the tasks, as of independent means, and is
+    missing where a task has a single seed.
+    """
+    rows = rows.assign(x=rows["timestep"] / rows["paper_timesteps"])
+    by_task = rows.groupby(["algorithm", "point", "task"]).agg(
+        x=("x", "mean"), mean=(column, "mean"), std=(column, "std"), count=(column, "count")
+    )
+    by_task["square"] = interval(by_task["std"], by_task["count"]) ** 2
+    points = by_task.groupby(level=["algorithm", "point"])
+    curves = points[["x", "mean"]].mean()
+    known = points["square"].count() == points.size()
+    curves["interval"] = (np.sqrt(points["square"].sum()) / points.size()).where(known)
+    for algorithm in ALGORITHMS:
+        if algorithm in curves.index:
+            yield algorithm, curves.loc[algorithm]
+
+
+def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Figure:
+    """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds."""
+    chosen = evaluations[(evaluations["family"] == family) & (evaluations["sharing"] == sharing)]
+    tasks = in_order(chosen["task"])
+    figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, "share of the paper's timesteps", "return")
+    for task, panel in zip(tasks, axes):
+        for algorithm, line in mean_curves(chosen[chosen["task"] == task], "return_mean"):
+            curve(panel, algorithm, line["x"], line["mean"], line["interval"])
+        panel.set_title(task)
+        panel.set_xlim(-0.02, 1.02)
+        if family == "matrix" and panel.get_ylim()[0] < -LINEAR:
+            panel.set_yscale("symlog", linthresh=LINEAR)
+            panel.set_yticks([-2000, -LINEAR, 0, LINEAR], minor=False)
+            panel.yaxis.set_major_formatter("{x:g}")
+    figure.suptitle(f"{FAMILIES.get(family, 'Other tasks')}, {SHARING[sharing]}")
+    legend(figure, chosen["algorithm"])
+    return figure
+
+
+def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
+    """Normalised returns over training, a panel for each family: means over tasks with 95 % intervals."""
+    chosen = normalised[normalised["sharing"] == sharing]
+    families = [family for family in FAMILIES if (chosen["family"] == family).any()]
+    figure, axes = panels(len(families), 3, "share of the paper's timesteps", "normalised return")
+    for family, panel in zip(families, axes):
+        rows = chosen[chosen["family"] == family]
+        for algorithm, line in mean_curves(rows, "normalised"):
+            curve(panel, algorithm, line["x"], line["mean"], line["interval"])
+        numbers = rows.groupby("algorithm")["task"].nunique()
+        fewest = f"{numbers.min()} to " if numbers.min() < numbers.max() else ""
+        panel.set_title(f"{FAMILIES[family]} (tasks: {fewest}{numbers.max()})")
+        panel.set_ylim(-0.02, 1.02)
+    figure.suptitle(f"Normalised returns, {SHARING[sharing]}")
+    legend(figure, chosen["algorithm"])
+    return figure
+
+
+def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
+    """Normalised maximum returns with and without sharing by family, ours and the paper's, with standard errors."""
+    sides = {"ours": aggregate.sharing_means(ours), "paper": aggregate.sharing_means(paper)}
+    families = [family for family in FAMILIES if family in sides["ours"].index]
+    figure, (panel,) = panels(1, 1, "", "normalised maximum return")
+    place = np.arange(len(families))
+    for number, (whose, sharing) in enumerate((whose, sharing) for whose in sides for sharing in (True, False)):
+        rows = sides[whose].xs(sharing, level="sharing").reindex(families)
+        panel.bar(
+            place + 0.2 * (number - 1.5),
+            rows["mean"],
+            0.18,
+            yerr=rows["error"],
+            color="#332288" if sharing else "#DDAA33",
+            alpha=1.0 if whose == "ours" else 0.45,
+            label=f"{whose}, {SHARING[sharing]}",
+        )
+    pairs = sides["ours"].xs(True, level="sharing").reindex(families)["count"]
+    panel.set_xticks(place, [f"{FAMILIES[family]}\n({count:.0f} pairs)" for family, count in zip(families, pairs)])
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def cpu_hours(hours: pd.DataFrame) -> Figure:
+    """Mean CPU hours of a run by family, algorithm and sharing; hours from `aggregate.cpu_hours`."""
+    families = [family for family in FAMILIES if family in hours.index.get_level_values("family")]
+    figure, axes = panels(len(families), 3, "", "CPU hours a run", share_y=True)
+    for family, panel in zip(families, axes):
+        rows = hours.loc[family]
+        for place, algorithm in enumerate(ALGORITHMS):
+            for sharing, shift, alpha in ((True, -0.2, 1.0), (False, 0.2, 0.45)):
+                if (algorithm, sharing) in rows.index:
+                    mean = rows.loc[(algorithm, sharing), "mean"]
+                    panel.bar(place + shift, mean, 0.38, color=COLOURS[algorithm], alpha=alpha)
+        panel.axhline(PAPER_CPU_HOURS / PAPER_RUNS, color="black", lw=1, linestyle="--")
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.set_xticks(range(len(ALGORITHMS)), [name.upper() for name in ALGORITHMS], rotation=60)
+        panel.set_title(FAMILIES[family])
+    handles: list[Artist] = [Patch(color="black", label=SHARING[True])]
+    handles.append(Patch(color="black", alpha=0.45, label=SHARING[False]))
+    handles.append(Line2D([], [], color="black", lw=1, linestyle="--", label="the paper's mean over all its runs"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def simulation_speed(speeds: pd.DataFrame) -> Figure:
+    """Steps per second by family; speeds from `results.speeds`. Geometric means over the tasks that were measured."""
+    families = [family for family in FAMILIES if (speeds["family"] == family).any()]
+    figure, (panel,) = panels(1, 1, "", "environment steps per second")
+    whose = list(dict.fromkeys(speeds["whose"]))
+    width = 0.8 / len(whose)
+    for number, name in enumerate(whose):
+        logs = np.log(speeds[speeds["whose"] == name].set_index("family")["steps_per_second"])
+        means = np.exp(logs.groupby("family").mean()).reindex(families)
+        shift = width * (number - (len(whose) - 1) / 2)
+        colour = plt.get_cmap("cividis")(number / max(1, len(whose) - 1))
+        panel.bar(np.arange(len(families)) + shift, means, 0.9 * width, color=colour, label=name)
+    panel.set_yscale("log")
+    panel.set_xticks(range(len(families)), [FAMILIES[family] for family in families])
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
+    """Performance profiles of each family with bootstrap intervals: the share of runs whose last evaluation is above a
+    normalised return."""
+    chosen = normalised[normalised["sharing"] == sharing]
+    families = [family for family in FAMILIES if (chosen["family"] == family).any()]
+    figure, axes = panels(len(families), 3, "normalised return", "share of runs")
+    thresholds = np.linspace(0, 1, 101)
+    measure = aggregate.performance_profile(thresholds)
+    for family, panel in zip(families, axes):
+        scores = aggregate.final_scores(chosen[chosen["family"] == family])
+        for algorithm in ALGORITHMS:
+            if (algorithm, sharing) in scores:
+                tasks = list(scores[algorithm, sharing].values())
+                share, low, high = aggregate.with_interval(measure, tasks)
+                panel.step(thresholds, share, color=COLOURS[algorithm], linestyle=LINES.get(algorithm, "-"), lw=1.3)
+                panel.fill_between(thresholds, low, high, color=COLOURS[algorithm], alpha=0.15, lw=0, step="pre")
+        panel.set_title(FAMILIES[family])
+    figure.suptitle(f"Runs above a normalised return at the last evaluation, {SHARING[sharing]}")
+    legend(figure, chosen["algorithm"])
+    return figure

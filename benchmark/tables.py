@@ -1,0 +1,231 @@
+"""The paper's tables from cells of results (`results.our_cells`, `results.paper_cells`), as Markdown and LaTeX.
+
+In a row, the highest mean is bold. An asterisk: not significantly different from it in a two-sided Student t-test
+with equal variances at 0.05, computed from means, intervals and numbers of seeds, as the paper's own marks can be.
+"""
+
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import ttest_ind_from_stats
+
+from results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, family, summarise
+
+SIGNIFICANCE = 0.05
+PRECISION = 0.01  # of what the paper prints
+TITLES = {
+    "max_return": "Maximum returns",
+    "average_return": "Average returns",
+    "last_return": "Returns at the last evaluation",
+    "max_win_rate": "Maximum win rates",
+    "last_win_rate": "Win rates at the last evaluation",
+}
+MARKED = ("max_return",)  # the paper's other tables have no marks
+LEGEND = """\
+In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours. An asterisk: not
+significantly different from it. A small number: so many seeds instead of five; a single one has no interval. °: the
+maximum lies at step 0, before any training, and is the luck of random networks. †: another budget than the paper's. ‡:
+a value of the paper that cannot be, since its average is above its maximum. Difference: ours minus the paper's, in
+units of both intervals together (the root of the sum of their squares, at least 0.01; for a single seed, whose interval
+is not known, the paper's standard deviation is taken)."""
+LATEX_SIGNS = {
+    "_": r"\_",
+    "±": r"$\pm$",
+    "*": "$^{*}$",
+    "°": r"$^{\circ}$",
+    "†": r"$^{\dagger}$",
+    "‡": r"$^{\ddagger}$",
+    **{sign: f"$^{{{number}}}$" for number, sign in enumerate("¹²³⁴", 1)},
+}
+
+
+def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2: float, seeds2: int) -> bool:
+    """Whether two means are not significantly different. Without an interval, as for a single seed, False."""
+    if np.isnan(interval) or np.isnan(interval2):
+        return False
+    if interval == 0 and interval2 == 0:
+        return round(mean, 9) == round(mean2, 9)
+    deviation, deviation2 = interval * np.sqrt(seeds) / 2, interval2 * np.sqrt(seeds2) / 2
+    test = ttest_ind_from_stats(mean, deviation, seeds, mean2, deviation2, seeds2, equal_var=True)
+    return bool(test.pvalue >= SIGNIFICANCE)
+
+
+def marks(row: pd.DataFrame) -> list[str]:
+    """For each cell of a table's row "best", "not significantly different" or "", in the words of the paper's CSV."""
+    best = row.loc[row["mean"].idxmax()]
+    found = []
+    for mean, interval, seeds in zip(row["mean"], row["interval"], row["seeds"]):
+        if round(mean, 2) == round(best["mean"], 2):
+            found.append("best")
+        elif same_mean(mean, interval, seeds, best["mean"], best["interval"], best["seeds"]):
+            found.append("not significantly different")
+        else:
+            found.append("")
+    return found
+
+
+def with_marks(cells: pd.DataFrame) -> pd.DataFrame:
+    """The cells with a column mark, as in the paper only for maximum returns."""
+    marked = cells.assign(mark="")
+    for _, row in cells[cells["metric"].isin(MARKED)].groupby(["metric", "sharing", "task"]):
+        marked.loc[row.index, "mark"] = marks(row)
+    return marked
+
+
+def impossible(paper: pd.DataFrame) -> pd.Series:
+    """For each of the paper's cells whether it belongs to an average return above its maximum."""
+    wide = paper.pivot(index=["sharing", "task", "algorithm"], columns="metric", values="mean")
+    wrong = wide.index[wide["average_return"] > wide["max_return"]]
+    cells = pd.MultiIndex.from_frame(paper[["sharing", "task", "algorithm"]])
+    return pd.Series(cells.isin(wrong) & paper["metric"].str.endswith("return"), index=paper.index)
+
+
+def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
+    """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference."""
+    theirs = paper.assign(impossible=impossible(paper)).rename(
+        columns={"task": "paper_task", "mean": "paper_mean", "interval": "paper_interval"}
+    )
+    key = ["metric", "sharing", "paper_task", "algorithm"]
+    both = with_marks(ours).merge(theirs[[*key, "paper_mean", "paper_interval", "impossible"]], how="left", on=key)
+    both["impossible"] = both["impossible"].eq(True)
+    single = both["paper_interval"] * np.sqrt(PAPER_SEEDS)  # 2 s / sqrt(1), s from the paper's five seeds
+    together = np.hypot(both["interval"].fillna(single), both["paper_interval"]).clip(lower=PRECISION)
+    return both.assign(difference=(both["mean"] - both["paper_mean"]) / together)
+
+
+def number(mean: float, interval: float) -> str:
+    """Mean and interval with two decimals; a dash where there is none."""
+    if np.isnan(mean):
+        return "-"
+    text = f"{round(mean, 2) + 0.0:.2f}"  # adding zero turns -0.0 into 0.0
+    return text if np.isnan(interval) else f"{text} ± {interval:.2f}"
+
+
+def signs(cell: Any) -> str:
+    """The legend's signs for a cell of ours, a space before them."""
+    few = "¹²³⁴"[cell.seeds - 1] if cell.seeds < PAPER_SEEDS else ""
+    found = few + "°" * cell.at_start + "†" * cell.other_budget
+    return f" {found}" if found else ""
+
+
+def our_text(cell: Any) -> str:
+    """Our value with its marks and signs, in Markdown."""
+    text = number(cell.value, cell.interval)
+    if cell.mark == "best":
+        text = f"**{text}**"
+    elif cell.mark:
+        text += r"\*"
+    return text + signs(cell)
+
+
+def paper_text(cell: Any) -> str:
+    """The paper's value."""
+    return number(cell.paper_mean, cell.paper_interval) + "‡" * cell.impossible
+
+
+def difference_text(cell: Any) -> str:
+    """The difference; a dash where the paper's value cannot be, or the other budget makes another average."""
+    other_average = cell.other_budget and cell.metric == "average_return"
+    if np.isnan(cell.difference) or cell.impossible or other_average:
+        return "-"
+    return f"{round(cell.difference, 1) + 0.0:+.1f}"
+
+
+def short_text(cell: Any) -> str:
+    """Our mean with its signs, the paper's in brackets."""
+    paper = "" if np.isnan(cell.paper_mean) else f" ({number(cell.paper_mean, np.nan)})"
+    return number(cell.value, np.nan) + signs(cell) + paper
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts numbers within names as numbers."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split("([0-9]+)", name)]
+
+
+def in_order(tasks: Any) -> list[str]:
+    """Tasks by family in the paper's order, and by name within."""
+    order = [*FAMILIES, "other"]
+    return sorted(set(tasks), key=lambda task: (order.index(family(task)), natural(task)))
+
+
+def rows(cells: pd.DataFrame, *texts: Callable[[Any], str]) -> dict[str, list[list[str]]]:
+    """For each task in order, for each of the texts, the nine algorithms' cells; an empty text where one is missing."""
+    known = {(cell.task, cell.algorithm): cell for cell in cells.rename(columns={"mean": "value"}).itertuples()}
+    found = {}
+    for task in in_order(cells["task"]):
+        row = [known.get((task, algorithm)) for algorithm in ALGORITHMS]
+        found[task] = [["" if cell is None else text(cell) for cell in row] for text in texts]
+    return found
+
+
+def lines(both: pd.DataFrame, metric: str, sharing: bool) -> list[list[str]]:
+    """A table's lines: task, whose, nine cells in Markdown. Three a task: ours, the paper's, the difference."""
+    chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
+    found = []
+    for task, (ours, paper, differences) in rows(chosen, our_text, paper_text, difference_text).items():
+        found.append([task, "ours", *ours])
+        if set(paper) - {"", "-"}:
+            found += [["", "paper", *paper], ["", "difference", *differences]]
+    return found
+
+
+def to_markdown(header: list[str], body: list[list[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in [header, ["---"] * len(header), *body])
+
+
+def markdown(both: pd.DataFrame, metric: str, sharing: bool) -> str:
+    """One of the paper's tables in Markdown; nothing where we have no result for it."""
+    body = lines(both, metric, sharing)
+    return to_markdown(["task", "", *map(str.upper, ALGORITHMS)], body) if body else ""
+
+
+def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
+    """The same table as a LaTeX tabular, for which the preamble loads booktabs; nothing where we have no result."""
+    body = lines(both, metric, sharing)
+    if not body:
+        return ""
+    made = [r"\begin{tabular}{ll" + "r" * len(ALGORITHMS) + "}", r"\toprule"]
+    made.append(" & ".join(["task", "", *map(str.upper, ALGORITHMS)]) + r" \\")
+    for line in body:
+        if line[0]:
+            made.append(r"\midrule")
+        text = " & ".join(line).replace(r"\*", "*")
+        text = re.sub(r"\*\*(.*?)\*\*", r"\\textbf{\1}", text)
+        made.append(re.sub("[_±*°†‡¹²³⁴]", lambda sign: LATEX_SIGNS[sign[0]], text) + r" \\")
+    return "\n".join([*made, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def short(both: pd.DataFrame) -> str:
+    """Maximum returns with sharing and the paper's budget, one line a task."""
+    chosen = both[(both["metric"] == "max_return") & both["sharing"] & ~both["other_budget"]]
+    body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, short_text).items()]
+    return to_markdown(["task", *map(str.upper, ALGORITHMS)], body)
+
+
+def variants(evaluations: pd.DataFrame, ours: pd.DataFrame) -> str:
+    """The results that are in none of the paper's tables, as those with other flags; nothing where there are none."""
+    summary = summarise(evaluations).reset_index()
+    budgets = evaluations.drop_duplicates(KEY).set_index(KEY)["total_timesteps"]
+    shown = set(ours[["task", "algorithm", "sharing", "timesteps"]].itertuples(index=False, name=None))
+    body = []
+    for row in summary.itertuples():
+        changed = json.loads(row.setting)
+        budget = budgets[row.task, row.algorithm, row.sharing, row.setting]
+        if set(changed) <= {"total_timesteps"} and (row.task, row.algorithm, row.sharing, budget) in shown:
+            continue
+        flags = ", ".join(f"{name} {value}" for name, value in changed.items())
+        values = [
+            number(row.maximum, row.maximum_interval),
+            number(row.average, row.average_interval),
+            number(row.last, row.last_interval),
+        ]
+        shared = "yes" if row.sharing else "no"
+        body.append([row.task, row.algorithm.upper(), shared, flags, str(row.seeds), *values])
+    body.sort(key=lambda line: (in_order(evaluations["task"]).index(line[0]), line[1:4]))
+    header = ["task", "algorithm", "sharing", "changed flags", "seeds", "maximum", "average", "last"]
+    return to_markdown(header, body) if body else ""
