@@ -27,15 +27,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import fast_mkl
 import filelock
 import ray
-import training
-from fast_mkl import NotPossible, preload
-from plan import Run, log_path
 
 import envs
+import fast_mkl
+import training
 from envs.runs import describe
+from fast_mkl import NotPossible, preload
+from plan import Run, log_path
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import training
-from results import table_path
-
 import envs
+import training
 from envs.runs import changed_flags, parse_flags
+from results import table_path
 
 Flags = tuple[str, ...]
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]

@@ -28,16 +28,16 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, Protocol
 
-import fast_mkl
 import filelock
+
+import envs
+import fast_mkl
 import plan
 import training
 from collect import collect_run
 from plan import Damaged, Run
 from results import RESULTS, has_seed
 from view import LineView, TableView, clock, make_view, read_progress
-
-import envs
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]

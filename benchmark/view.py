@@ -6,8 +6,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from plan import Run, read_evaluations
 from tqdm import tqdm
+
+from plan import Run, read_evaluations
 
 LINES_EVERY = 300  # seconds, where there is no terminal
 HEADER = f"{'task':<24} {'algorithm':<20} {'seed':>4} {'done':>5} {'steps/s':>9} {'return':>9} {'time left':>10}"

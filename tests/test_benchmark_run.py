@@ -7,6 +7,7 @@ only counts. Its flag --pace is how long a step takes.
 import contextlib
 import csv
 import fcntl
+import importlib
 import json
 import os
 import pty
@@ -20,20 +21,21 @@ import threading
 import time
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
 if str(BENCHMARK) not in sys.path:
     sys.path.append(str(BENCHMARK))
 
+import envs  # noqa: E402
 import fast_mkl  # noqa: E402
 import plan  # noqa: E402
 import results  # noqa: E402
 import run  # noqa: E402
+import search  # noqa: E402
 import training  # noqa: E402
 import view  # noqa: E402
-
-import envs  # noqa: E402
 
 STAND_IN = """
 import argparse, json, os, signal, sys, time, zipfile
@@ -710,3 +712,50 @@ class TestRay:
     def test_no_cluster(self, monkeypatch, capsys, address):
         assert campaign(monkeypatch, "--ray", address) == 2
         assert f"no Ray cluster answers at {address}" in capsys.readouterr().err
+
+
+class TestSearch:
+    def test_a_grid_from_its_file_to_its_winner(self, monkeypatch, capsys, tmp_path):
+        """The stand-in's return is 40 times its learning rate; 0.5 is its paper's choice."""
+        lines = ["ia2c mappo,matrix lbf,learning_rate,0.25 0.5 1.0", "ia2c,matrix,device,cpu"]
+        Path("grid.csv").write_text("\n".join(["algorithms,families,flag,values", *lines]))
+        assert campaign(monkeypatch, "--grid", "grid.csv", "--results", "searches") == 0
+        assert "9 of 9 runs are in" in capsys.readouterr().out
+        assert search.search_report(Path("searches")).splitlines() == [
+            "### ia2c with parameter sharing on matrix-climbing",
+            "",
+            "3 variants, 9 runs of 40 timesteps. The winner: learning_rate 1.0. The paper's choice has place 2.",
+            "",
+            "|  | learning_rate | seeds | score | average return |",
+            "| --- | --- | --- | --- | --- |",
+            "| 1 | 1.0 | 3 | 40.00 | 20.00 |",
+            "| 2 (the paper's) | 0.5 | 3 | 20.00 | 10.00 |",
+            "| 3 | 0.25 | 3 | 10.00 | 5.00 |",
+        ]
+        monkeypatch.setattr(sys, "argv", ["report.py", "--grid", "searches"])
+        importlib.import_module("report").main()
+        assert "The winner: learning_rate 1.0." in capsys.readouterr().out
+
+    def test_the_best_point_of_the_mean_and_then_the_average(self):
+        """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way."""
+        curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[3, 0, 0], [3, 9, 0]]}
+        rows = [
+            {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
+            | {"return_mean": float(value)}
+            for name, seeds in curves.items()
+            for seed, values in enumerate(seeds)
+            for point, value in enumerate(values)
+        ]
+        ranking = search.ranked(pd.DataFrame(rows))
+        assert list(ranking["setting"]) == ["C", "B", "A"] and list(ranking["score"]) == [4.5, 4.0, 4.0]
+
+    def test_what_is_missing_is_said(self, monkeypatch):
+        flags = ["--", "--learning-rate", "0.25", "--total-timesteps", "20"]
+        assert campaign(monkeypatch, "--seeds", 2, *flags) == 0
+        said = search.search_report(Path("results"))
+        assert "2 runs of 20 timesteps (the paper: 40). The winner: the only variant." in said
+        assert "The paper's choice is not among them. The search is not complete" in said
+
+    def test_nothing_was_searched(self):
+        with pytest.raises(ValueError, match="no results in nowhere"):
+            search.search_report(Path("nowhere"))
