@@ -132,7 +132,8 @@ class Trainer:
         except subprocess.TimeoutExpired:
             code = None
         progress = self.directory / "progress.json"
-        seen = {"code": code, "progress": progress.read_bytes() if progress.exists() else b"", "files": {}, "log": b""}
+        shown = progress.read_bytes() if progress.exists() else b""
+        seen: dict[str, Any] = {"code": code, "progress": shown, "files": {}, "log": b""}
         if code is not None:
             seen |= {"files": read_files(self.directory), "log": self.log.read_bytes()[-(2**20) :]}
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -188,9 +189,11 @@ class RayJob:
         try:
             if seen["files"]:
                 write_files(self.run.directory, self.with_commit(seen["files"]))
-            (self.run.directory / "progress.json").write_bytes(seen["progress"])
-        except OSError as error:
-            return self.end(1, str(error).encode())
+            if seen["progress"]:
+                (self.run.directory / "progress.json").write_bytes(seen["progress"])
+        except OSError:
+            self.end(1)
+            raise
         if seen["code"] is not None:
             return self.end(seen["code"], seen["log"])
         checkpoint = time.monotonic() - self.asked >= CHECKPOINT_SECONDS

@@ -113,6 +113,7 @@ class Campaign:
         self.failed: dict[Path, str] = {}
         self.elsewhere: list[Run] = []
         self.stopped: list[Run] = []
+        self.damaged: dict[Path, Damaged] = {}  # found when a run ended, to be kept aside when it begins anew
         self.attempts: dict[Path, int] = {}  # how often a run was damaged after all, or its node was lost
         self.told: set[Path] = set()  # the runs that were asked to stop
         self.stop_signal = 0
@@ -126,17 +127,15 @@ class Campaign:
                     self.begin(self.waiting.popleft())
                 if self.stopping:
                     self.stop_jobs()
-                for run, job in list(self.jobs.values()):
-                    if (code := job.poll()) is not None:
-                        del self.jobs[run.directory]
-                        self.finish(run, code, job.lost)
+                self.look_at_jobs()
                 self.view.show([run for run, _ in self.jobs.values()], self.summary())
                 if not self.jobs and not self.waiting:
                     self.look_again()
                 time.sleep(0.1)
         finally:  # an error of this program, too, leaves no run behind
             self.stop_jobs()
-            while any(job.poll() is None for _, job in self.jobs.values()):
+            while self.jobs:
+                self.look_at_jobs()
                 time.sleep(0.1)
             self.view.close()
 
@@ -156,6 +155,19 @@ class Campaign:
                 self.told.add(directory)
                 job.stop()
 
+    def look_at_jobs(self) -> None:
+        """Finishes the jobs that have ended."""
+        for run, job in list(self.jobs.values()):
+            try:
+                code = job.poll()
+            except OSError as error:  # what has come back from a cluster cannot be written
+                del self.jobs[run.directory]
+                self.fail(run, str(error))
+                continue
+            if code is not None:
+                del self.jobs[run.directory]
+                self.finish(run, code, job.lost)
+
     def begin(self, run: Run) -> None:
         """Starts a run or goes on with it; collects it where it is complete; moves it away where it is damaged."""
         try:
@@ -164,22 +176,35 @@ class Campaign:
                 return
             if run.directory.exists():
                 with filelock.FileLock(run.directory / "lock", timeout=0):
-                    try:
-                        there = plan.condition(run)
-                        if there == "complete":
-                            self.collect(run)
-                            return
-                        for name in plan.drop_damaged_checkpoints(run) if there == "begun" else []:
-                            self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
-                    except Damaged as damage:
-                        self.set_aside(run, damage)
+                    if self.make_ready(run) == "complete":
+                        self.collect(run)
+                        return
             self.jobs[run.directory] = run, self.start(run)
         except filelock.Timeout:
             self.elsewhere.append(run)
         except (ValueError, OSError) as error:  # ValueError: a table of the results is damaged
-            self.failed[run.directory] = str(error)
-            self.view.say(f"{run}: failed, {error}")
-            self.give_up_if_full(str(error))
+            self.fail(run, str(error))
+
+    def make_ready(self, run: Run) -> str:
+        """Moves what is damaged out of the way; gives what is there then, see `plan.condition`."""
+        try:
+            if damage := self.damaged.pop(run.directory, None):
+                raise damage
+            there = plan.condition(run)
+        except Damaged as damage:
+            place = plan.set_aside(run, self.folder)
+            self.view.say(f"{run}: damaged, {damage}; kept in {place} and begun anew")
+            return "new"
+        for name in plan.drop_damaged_checkpoints(run) if there == "begun" else []:
+            self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
+        return there
+
+    def fail(self, run: Run, reason: str, where: Path | None = None) -> None:
+        """A run cannot be completed, or not be collected. where: what is kept of it."""
+        self.failed[run.directory] = reason if where is None else f"{reason} ({where})"
+        self.view.say(f"{run}: failed, {reason}")
+        if os.strerror(errno.ENOSPC) in reason:  # every other run would fail, too
+            self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def finish(self, run: Run, code: int, lost: bool) -> None:
         """A job has ended."""
@@ -199,53 +224,34 @@ class Campaign:
             self.try_again(run, damage)
         elif in_use(run.directory):
             self.elsewhere.append(run)
-        elif code in STOPPED or (code == 1 and self.stopping):
+        elif code in STOPPED:
             plan.log_path(run).unlink(missing_ok=True)
             self.stopped.append(run)
         else:
-            reason = f"exit code {code}: {said}"
-            self.failed[run.directory] = f"{reason} (all it said: {plan.log_path(run)})"
-            self.view.say(f"{run}: failed, {reason}")
-            self.give_up_if_full(reason)
+            self.fail(run, f"exit code {code}: {said}", plan.log_path(run))
 
     def try_again(self, run: Run, damage: Damaged | None) -> None:
         """A run whose directory is damaged after all, or whose node was lost, goes on first, but not for ever."""
         self.attempts[run.directory] = self.attempts.get(run.directory, 0) + 1
         if self.attempts[run.directory] > (1 if damage else MOST_LOSSES):
-            self.failed[run.directory] = str(damage or f"its node was lost {self.attempts[run.directory]} times")
-            self.view.say(f"{run}: failed, {self.failed[run.directory]}")
+            self.fail(run, str(damage or f"its node was lost {self.attempts[run.directory]} times"))
             return
         if damage:
-            self.set_aside(run, damage)
+            self.damaged[run.directory] = damage
         else:
             self.view.say(f"{run}: its node was lost, it goes on elsewhere from what came back")
         self.waiting.appendleft(run)
-
-    def set_aside(self, run: Run, damage: Damaged) -> None:
-        """Keeps a damaged directory, out of the way."""
-        place = plan.set_aside(run, self.folder)
-        self.view.say(f"{run}: damaged, {damage}; kept in {place} and begun anew")
 
     def collect(self, run: Run) -> None:
         """Puts a complete run into the results."""
         try:
             collect_run(run.directory, self.results)
-        except ValueError as error:  # it does not fit to the other seeds
-            self.failed[run.directory] = f"{error} ({run.directory} keeps it)"
-            self.view.say(f"{run}: complete, but not collected: {error}")
-        except OSError as error:
-            self.failed[run.directory] = f"{error} ({run.directory} keeps it)"
-            self.view.say(f"{run}: complete, but not collected: {error}")
-            self.give_up_if_full(str(error))
+        except (ValueError, OSError) as error:  # ValueError: it does not fit to the other seeds
+            self.fail(run, f"complete, but not collected: {error}", run.directory)
         else:
             self.done.add(run.directory)
             plan.log_path(run).unlink(missing_ok=True)
             self.view.say(f"{run}: in the results ({len(self.done)} of {len(self.plan)})")
-
-    def give_up_if_full(self, reason: str) -> None:
-        """A full disk fails every run: none is started any more."""
-        if os.strerror(errno.ENOSPC) in reason:
-            self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def look_again(self) -> None:
         """Takes up the runs that were in use elsewhere and no longer are."""
@@ -321,7 +327,8 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
     if not examples:
         print("Nothing is left to run.")
         return
-    print(f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s each (training only, one thread) ...")
+    print(f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s each: one thread, training alone, and of a")
+    print("grid the first variant. What else runs on this machine slows it down.")
     hours = 0.0
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:  # a new process has what is preloaded
         for setting, run in examples.items():
@@ -382,7 +389,8 @@ def run_campaign(args: argparse.Namespace) -> int:
         start, places = cluster.connect(args.ray, args.jobs, args.fast_mkl)
     campaign = Campaign(runs, args.runs.resolve(), results, start, places, make_view())
     for number in SIGNALS:
-        signal.signal(number, campaign.ask_to_stop)
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup has SIGHUP ignored
+            signal.signal(number, campaign.ask_to_stop)
     campaign.go_on()
     return campaign.report()
 

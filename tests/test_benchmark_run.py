@@ -20,6 +20,7 @@ import termios
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -275,7 +276,7 @@ class TestPlan:
         assert all(run.changed == {} for run in paper) and len(paper) == 9 * 6 * 2 * 2
         searched = make_plan("ia2c qmix", "matrix-climbing", (True,), 3, grid=grid)
         searched += make_plan("maddpg", "matrix-climbing lbf-15x15-3p-5f", (True,), 3, grid=grid)
-        sizes = {}
+        sizes: dict[tuple[str, str], int] = {}
         for one in searched:
             sizes[one.algorithm, one.task] = sizes.get((one.algorithm, one.task), 0) + 1
         assert sizes == {  # by hand: 2 x 3 x 2 x 2 for all, times what each has of its own, three seeds
@@ -651,7 +652,7 @@ class TestRay:
 
         impatient = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
         impatient |= {"health_check_timeout_ms": 2000, "health_check_failure_threshold": 2}
-        small = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+        small: dict[str, Any] = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
         head = small | {"include_dashboard": False, "_system_config": impatient}
         cluster = Cluster(initialize_head=True, head_node_args=head)
         yield cluster, cluster.add_node(**small)
