@@ -307,7 +307,10 @@ def last_line(log: Path) -> str:
 
 # --- before it runs ---
 def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
-    """Prints the plan, and what is left of it in core hours, from a short timing of each setting."""
+    """Prints the plan, and what is left of it in core hours, from a short timing of each setting.
+
+    The timing counts the processor's time, so that what else the machine does hardly matters.
+    """
     steps: dict[tuple[str, str, bool], float] = {}
     examples: dict[tuple[str, str, bool], Run] = {}
     for run in runs:
@@ -327,18 +330,23 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
     if not examples:
         print("Nothing is left to run.")
         return
-    print(f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s each: one thread, training alone, and of a")
-    print("grid the first variant. What else runs on this machine slows it down.")
+    print(
+        f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s of the processor each: one thread, training"
+    )
+    print("without evaluations, and of a grid the first variant ...")
     hours = 0.0
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:  # a new process has what is preloaded
         for setting, run in examples.items():
             flags = plan.script_flags(run.task, run.sharing, run.flags)
-            rate = pool.submit(training.measure, run.algorithm, flags, TIMING_SECONDS).result().rate
+            timing = pool.submit(training.measure, run.algorithm, flags, TIMING_SECONDS, time.process_time)
+            rate = timing.result().rate
             left = steps[setting] / rate / 3600
             hours += left
             name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
             print(f"{name}: {rate:,.0f} steps/s, {left:.2f} core hours", flush=True)
-    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s).")
+    print(
+        f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s) of their own cores."
+    )
 
 
 def parse() -> argparse.Namespace:

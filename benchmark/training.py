@@ -17,15 +17,17 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import torch
 from torch import nn
 
 import envs
+from envs import runs
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
+Timer = Callable[[], float]
 
 
 class Plain(nn.Module):
@@ -54,7 +56,7 @@ def load_script(name: str) -> ModuleType:
 
 def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
     """One batch of whole episodes, all as long as the time limit: ten on-policy, 32 of a replay off-policy."""
-    name, copies = module.ALGORITHM, 1 if args.parameter_sharing else env.n_agents
+    name, copies = module.__name__, 1 if args.parameter_sharing else env.n_agents
     ids = env.n_agents if args.parameter_sharing else 0
     replays = hasattr(args, "batch_size")
     steps = env.episode_limit + replays  # a replayed episode is valued in its last state too
@@ -94,27 +96,32 @@ def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
 class Clock:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
-    def __init__(self, module: Any, seconds: float, directory: Path):
-        self.module, self.seconds, self.directory = module, seconds, directory
+    def __init__(self, module: Any, seconds: float, path: Path, timer: Timer):
+        self.module, self.seconds, self.timer = module, seconds, timer
+        self.directory = SimpleNamespace(path=path)
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
-        self.timestep, self.updates, self.started = 0, 0, 0.0
+        self.updates = 0
 
     def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
         self.env, self.passes = env, reference_passes(self.module, args, env)
-        self.end = time.perf_counter() + self.seconds
+        self.end = self.timer() + self.seconds
         return self
 
-    def goes_on(self) -> bool:
-        self.started = time.perf_counter()
-        return self.started < self.end or not self.rates
+    @property
+    def timestep(self) -> float:
+        """Beyond every budget when the time is up."""
+        return float("inf") if self.timer() > self.end and self.rates else 0
 
-    def advance(self, steps: int, losses: Any) -> None:
-        self.timestep += steps
-        self.updates += bool(losses)  # none while a replay fills
-        between = time.perf_counter()
+    def evaluate_if_due(self) -> None:
+        """Nothing is evaluated; the next batch begins here."""
+        self.started = self.timer()
+
+    def advance(self, batch: Any, returns: Any, metrics: Any) -> None:
+        steps = int(batch.played.sum())
+        between = self.timer()
         self.passes()
-        passed = time.perf_counter()
+        passed = self.timer()
         if self.updates > 5:  # the first batches warm up
             self.rates.append(steps / (between - self.started))
             self.reference_rates.append(self.env.num_envs * self.env.episode_limit / (passed - between))
@@ -122,14 +129,16 @@ class Clock:
     def save(self) -> None:
         """A benchmark keeps nothing."""
 
+    complete = save
 
-def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Callable:
+
+def timed(function: Callable, seconds: dict[str, list[float]], name: str, timer: Timer) -> Callable:
     """The function, noting how long each call takes."""
 
     def wrapper(*args: Any, **kwargs: Any) -> Any:
-        start = time.perf_counter()
+        start = timer()
         result = function(*args, **kwargs)
-        seconds[name].append(time.perf_counter() - start)
+        seconds[name].append(timer() - start)
         return result
 
     return wrapper
@@ -147,23 +156,24 @@ class Measurement:
     stepping: float
 
 
-def measure(name: str, flags: list[str], seconds: float) -> Measurement:
-    """Trains for some seconds."""
+def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.perf_counter) -> Measurement:
+    """Trains for some seconds. timer: `time.process_time` counts this process alone, whatever else the machine does."""
     module: Any = load_script(name)
-    args = module.parse(flags)
+    args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     torch.set_num_threads(1)
     parts: dict[str, list[float]] = defaultdict(list)
-    module.collect, module.update = timed(module.collect, parts, "acting"), timed(module.update, parts, "update")
+    module.collect = timed(module.collect, parts, "acting", timer)
+    module.update = timed(module.update, parts, "update", timer)
     make = module.envs.make
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
         env = make(*args, **kwargs)
-        env.step = timed(env.step, parts, "step")
+        env.step = timed(env.step, parts, "step", timer)
         return env
 
     module.envs.make = make_timed
     with tempfile.TemporaryDirectory() as directory:
-        clock = module.Run = Clock(module, seconds, Path(directory))
+        clock = module.Run = Clock(module, seconds, Path(directory), timer)
         module.train(args)
     module.envs.make = make
     rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)

@@ -582,7 +582,7 @@ class TestDryRun:
         assert "Nothing is left to run" in capsys.readouterr().out
 
 
-def measured(name, flags, seconds):
+def measured(name, flags, seconds, timer):
     assert flags[:3] == ["--env", "matrix-climbing", "--parameter-sharing"]
     return training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
 
@@ -641,13 +641,17 @@ def refuse(reason):
 
 
 class TestRay:
+    @pytest.fixture(autouse=True)
+    def ray(self):
+        """Ray, where it is installed."""
+        return pytest.importorskip("ray")
+
     @pytest.fixture
-    def nodes(self, monkeypatch):
+    def nodes(self, monkeypatch, ray):
         """A cluster of two nodes with one core each, on this machine: the cluster, and the second node."""
         folder = tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True)  # a short name, for its sockets
         monkeypatch.setenv("TMPDIR", folder.name)
         monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        ray = pytest.importorskip("ray")
         from ray.cluster_utils import Cluster
 
         impatient = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
