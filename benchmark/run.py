@@ -344,9 +344,7 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
             hours += left
             name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
             print(f"{name}: {rate:,.0f} steps/s, {left:.2f} core hours", flush=True)
-    print(
-        f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s) of their own cores."
-    )
+    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s).")
 
 
 def parse() -> argparse.Namespace:
