@@ -467,6 +467,12 @@ class TestDamage:
         assert logs == {"log-seed0.txt": "begins at 30\n"} and seeds_of("ia2c-shared") == {0: 20.0}
         assert not Path("runs-damaged").exists()
 
+    def test_damaged_checkpoints_are_dropped(self, complete):
+        """PyTorch would load one, so it must be gone before the script starts."""
+        damage_checkpoint(complete / "checkpoint.pt")
+        assert plan.drop_damaged_checkpoints(plan_of(complete)) == ["checkpoint.pt"]
+        assert [path.name for path in complete.glob("checkpoint*.pt")] == ["checkpoint.previous.pt"]
+
     def test_of_a_replay(self, monkeypatch, capsys, complete):
         """A complete run deletes it; here the last checkpoint is lost, too."""
         directory = folder_of(0, "iql-shared")
@@ -740,8 +746,9 @@ class TestSearch:
         assert "The winner: learning_rate 1.0." in capsys.readouterr().out
 
     def test_the_best_point_of_the_mean_and_then_the_average(self):
-        """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way."""
-        curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[3, 0, 0], [3, 9, 0]]}
+        """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way. C learns and
+        forgets."""
+        curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
         rows = [
             {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
             | {"return_mean": float(value)}
