@@ -668,13 +668,25 @@ class TestRay:
         cluster.shutdown()
         folder.cleanup()
 
-    def test_a_lost_node(self, monkeypatch, capsys, nodes):
-        """Two runs on two nodes, one of which is killed: its run goes on elsewhere, from the checkpoint that came."""
+    def test_a_stop_and_a_lost_node(self, monkeypatch, capsys, nodes, ray):
+        """A signal stops a run, which comes back. Then there are two on two nodes, one of which is killed: its run goes
+        on elsewhere, from the checkpoint that came."""
         import cluster
 
         machines, second = nodes
         monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
         monkeypatch.setattr(cluster, "CHECKPOINT_SECONDS", 0.0)
+        words = ["--ray", machines.address, "--seeds", 1, "--", "--pace", "0.05"]
+        stopped = folder_of(0, "ia2c-shared-pace=0.05")
+        stopper, logs = threading.Thread(target=signal_when, args=(stopped / "checkpoint.pt",)), keep_logs(monkeypatch)
+        stopper.start()
+        assert campaign(monkeypatch, *words) == 128 + signal.SIGTERM
+        stopper.join()
+        assert plan.is_whole(stopped / "checkpoint.pt") and not run.in_use(stopped)
+        ray.shutdown()
+        assert campaign(monkeypatch, *words[2:]) == 0  # it goes on without the cluster
+        assert int(logs["log-seed0.txt"].split()[2]) > 0 and seeds_of("ia2c-shared-pace=0.05") == {0: 20.0}
+
         directories = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
 
         def kill():
@@ -682,7 +694,9 @@ class TestRay:
                 time.sleep(0.05)
             machines.remove_node(second, allow_graceful=False)
 
-        killer, logs = threading.Thread(target=kill), keep_logs(monkeypatch)
+        logs.clear()
+        capsys.readouterr()
+        killer = threading.Thread(target=kill)
         killer.start()
         assert campaign(monkeypatch, "--ray", machines.address, "--seeds", 2, "--", "--pace", "0.1") == 0
         killer.join()
