@@ -10,6 +10,10 @@ writes into the output folder
 
 and, where the output is this folder, the short version in the repository's README.md. `--marl-eval` also writes the
 evaluations in marl-eval's JSON, for other programs.
+
+    python benchmark/report.py --grid benchmark/searches/paper
+
+prints the variants of a search (`search.py`), the best first, and writes nothing.
 """
 
 import argparse
@@ -44,6 +48,7 @@ from results import (
     speeds,
     write_whole,
 )
+from search import search_report
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
@@ -318,8 +323,12 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--output", type=Path, default=HERE)
     parser.add_argument("--marl-eval", type=Path, help="also write the evaluations to this file, in marl-eval's JSON")
+    parser.add_argument("--grid", type=Path, metavar="folder", help="only print what a search in this folder found")
     args = parser.parse_args()
     try:
+        if args.grid:
+            print(search_report(args.grid))
+            return
         report = Report(args.results)
         (args.output / "figures").mkdir(parents=True, exist_ok=True)
         (args.output / "latex").mkdir(exist_ok=True)

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -26,6 +27,7 @@ import envs
 from envs import runs
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
+Timer = Callable[[], float]
 
 
 class Plain(nn.Module):
@@ -94,8 +96,8 @@ def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
 class Clock:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
-    def __init__(self, module: Any, seconds: float, path: Path):
-        self.module, self.seconds = module, seconds
+    def __init__(self, module: Any, seconds: float, path: Path, timer: Timer):
+        self.module, self.seconds, self.timer = module, seconds, timer
         self.directory = SimpleNamespace(path=path)
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
@@ -103,23 +105,23 @@ class Clock:
 
     def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
         self.env, self.passes = env, reference_passes(self.module, args, env)
-        self.end = time.perf_counter() + self.seconds
+        self.end = self.timer() + self.seconds
         return self
 
     @property
     def timestep(self) -> float:
         """Beyond every budget when the time is up."""
-        return float("inf") if time.perf_counter() > self.end and self.rates else 0
+        return float("inf") if self.timer() > self.end and self.rates else 0
 
     def evaluate_if_due(self) -> None:
         """Nothing is evaluated; the next batch begins here."""
-        self.started = time.perf_counter()
+        self.started = self.timer()
 
     def advance(self, batch: Any, returns: Any, metrics: Any) -> None:
         steps = int(batch.played.sum())
-        between = time.perf_counter()
+        between = self.timer()
         self.passes()
-        passed = time.perf_counter()
+        passed = self.timer()
         if self.updates > 5:  # the first batches warm up
             self.rates.append(steps / (between - self.started))
             self.reference_rates.append(self.env.num_envs * self.env.episode_limit / (passed - between))
@@ -130,35 +132,48 @@ class Clock:
     complete = save
 
 
-def timed(function: Callable, seconds: dict[str, list[float]], name: str) -> Callable:
+def timed(function: Callable, seconds: dict[str, list[float]], name: str, timer: Timer) -> Callable:
     """The function, noting how long each call takes."""
 
     def wrapper(*args: Any, **kwargs: Any) -> Any:
-        start = time.perf_counter()
+        start = timer()
         result = function(*args, **kwargs)
-        seconds[name].append(time.perf_counter() - start)
+        seconds[name].append(timer() - start)
         return result
 
     return wrapper
 
 
-def measure(name: str, flags: list[str], seconds: float) -> None:
-    """Prints one line: medians over batches."""
+@dataclass(frozen=True)
+class Measurement:
+    """Medians over batches. rate, reference: steps per second; the others: shares of the loop's time."""
+
+    setting: str
+    rate: float
+    reference: float
+    update: float
+    acting: float
+    stepping: float
+
+
+def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.perf_counter) -> Measurement:
+    """Trains for some seconds. timer: `time.process_time` counts this process alone, whatever else the machine does."""
     module: Any = load_script(name)
     args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     torch.set_num_threads(1)
     parts: dict[str, list[float]] = defaultdict(list)
-    module.collect, module.update = timed(module.collect, parts, "acting"), timed(module.update, parts, "update")
+    module.collect = timed(module.collect, parts, "acting", timer)
+    module.update = timed(module.update, parts, "update", timer)
     make = module.envs.make
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
         env = make(*args, **kwargs)
-        env.step = timed(env.step, parts, "step")
+        env.step = timed(env.step, parts, "step", timer)
         return env
 
     module.envs.make = make_timed
     with tempfile.TemporaryDirectory() as directory:
-        clock = module.Run = Clock(module, seconds, Path(directory))
+        clock = module.Run = Clock(module, seconds, Path(directory), timer)
         module.train(args)
     module.envs.make = make
     rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
@@ -166,12 +181,7 @@ def measure(name: str, flags: list[str], seconds: float) -> None:
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])
     whole = acting + update
     setting = f"{name} {args.network} {args.hidden_dim} {'shared' if args.parameter_sharing else 'independent'}"
-    print(
-        f"{setting:32s} {rate:8,.0f} steps/s, reference passes {reference:8,.0f}, share {rate / reference:.2f}; "
-        f"of the loop: update {update / whole:.0%}, acting {(acting - stepping) / whole:.0%}, "
-        f"stepping {stepping / whole:.0%}",
-        flush=True,
-    )
+    return Measurement(setting, rate, reference, update / whole, (acting - stepping) / whole, stepping / whole)
 
 
 def main() -> None:
@@ -185,9 +195,15 @@ def main() -> None:
     chosen = parser.parse_args()
     for name in chosen.algos:
         try:
-            measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
+            found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
         except envs.InputError as error:
             parser.error(str(error))
+        print(
+            f"{found.setting:32s} {found.rate:8,.0f} steps/s, reference passes {found.reference:8,.0f}, "
+            f"share {found.rate / found.reference:.2f}; of the loop: update {found.update:.0%}, "
+            f"acting {found.acting:.0%}, stepping {found.stepping:.0%}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

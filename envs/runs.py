@@ -545,8 +545,9 @@ class StopSignals:
     def __init__(self) -> None:
         self.received: int | None = None
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            if hasattr(signal, name):  # Windows has no SIGHUP
-                signal.signal(getattr(signal, name), self._note)
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
+                signal.signal(number, self._note)
 
     def _note(self, number: int, frame: Any) -> None:
         self.received = number

@@ -3,6 +3,7 @@
 import csv
 import math
 import os
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -230,3 +231,19 @@ class TestEpisodeFile:
             self.begin(tmp_path, size=7, played=13)
         with pytest.raises(InputError, match="does not hold the last episodes"):
             self.begin(tmp_path, played=14)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_what_is_ignored_stays_ignored() -> None:
+    """A run that was started with nohup goes on when its terminal is closed."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        signals = runs.StopSignals()
+        signal.raise_signal(signal.SIGHUP)
+        assert signals.received is None
+        signal.raise_signal(signal.SIGTERM)
+        assert signals.received == signal.SIGTERM
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)

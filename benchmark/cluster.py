@@ -1,0 +1,249 @@
+"""Runs on a Ray cluster: each on one core of any node, all of its files going there and back through Ray.
+
+The nodes need this project's dependencies and no shared disk: they are sent `algos/` and `envs/`, and what the campaign
+has of a run. Every few minutes its last checkpoint comes back into its directory here, so this directory looks like
+that of an interrupted run: one whose node is lost goes on from it on another node, and on this machine if need be.
+
+`Trainer` and what it calls live on the nodes, where the modules of benchmark/ are not: they are sent by value.
+"""
+
+import contextlib
+import functools
+import hashlib
+import io
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import filelock
+import ray
+
+import envs
+import fast_mkl
+import training
+from envs.runs import describe
+from fast_mkl import NotPossible, preload
+from plan import Run, log_path
+
+LOOK_SECONDS = 1.0  # between two looks at a run
+CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
+LARGEST_REPLAY = 2**30  # bytes; a run with a larger one begins anew where its node is lost
+STAYS = {"lock", "progress.json"}  # files that do not travel with the others
+LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: a checkpoint refers to the others
+
+
+# --- on the nodes ---
+def unpack(code: bytes) -> Path:
+    """The scripts and environments as files; at the same place for all runs of a node, so that Numba compiles once."""
+    folder = Path(tempfile.gettempdir(), f"marl-baselines-{os.getuid()}-{hashlib.sha256(code).hexdigest()[:16]}")
+    if not folder.exists():
+        with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
+            new = Path(temporary, "code")
+            with zipfile.ZipFile(io.BytesIO(code)) as archive:
+                archive.extractall(new)
+            for path in new.rglob("*"):
+                os.utime(path, (0, 0))  # Numba's cache asks whether a file is the same
+            try:
+                new.rename(folder)
+            except OSError:  # another run of this node was faster
+                if not folder.exists():
+                    raise
+    return folder
+
+
+def read_files(directory: Path) -> dict[str, bytes]:
+    """All that a run needs to go on elsewhere; nothing where it has no checkpoint, or makes one at this moment.
+
+    What a checkpoint refers to in the replay stays as it is until the next checkpoint is there.
+    """
+    last = directory / "checkpoint.pt"
+    replay = directory / "replay.bin"
+    if not last.exists() or (replay.exists() and replay.stat().st_size > LARGEST_REPLAY):
+        return {}
+    try:
+        before = last.stat()
+        paths = [path for path in directory.iterdir() if path.is_file() and path.name not in STAYS]
+        files = {path.name: path.read_bytes() for path in paths}
+        after = last.stat()
+    except FileNotFoundError:  # a file took another's place
+        return {}
+    return files if (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns) else {}
+
+
+def write_files(directory: Path, files: dict[str, bytes]) -> None:
+    """Files that have arrived take the place of those that are there, the checkpoints last: where this is cut short,
+    the directory has none, and is known as damaged. OSError on a full disk, which leaves all as it was."""
+    directory.mkdir(parents=True, exist_ok=True)
+    arrived = {name: directory / f"{name}.new" for name in files}
+    try:
+        for name, place in arrived.items():
+            place.write_bytes(files[name])
+    except OSError:
+        for place in arrived.values():
+            place.unlink(missing_ok=True)
+        raise
+    for path in directory.glob("checkpoint*.pt"):
+        path.unlink()
+    for name in sorted(files, key=lambda name: LAST.index(name) if name in LAST else -1):
+        arrived[name].replace(directory / name)
+
+
+class Trainer:
+    """A run on a node: a process, and a directory that is gone when it has ended."""
+
+    def __init__(self, code: bytes, fast: bool, algorithm: str, arguments: list[str], files: dict[str, bytes]):
+        self.folder = Path(tempfile.mkdtemp(prefix="marl-baselines-run-"))
+        self.directory, self.log = self.folder / "run", self.folder / "log.txt"
+        self.sent = 0  # when the last checkpoint that was sent was made
+        if files:
+            write_files(self.directory, files)
+        place = unpack(code)
+        environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+        if fast:
+            with contextlib.suppress(NotPossible):
+                environment["LD_PRELOAD"] = preload()
+        command = [sys.executable, str(place / "algos" / f"{algorithm}.py"), *arguments]
+        with open(self.log, "wb") as log:
+            self.process = subprocess.Popen(
+                [*command, "--run-dir", str(self.directory), "--resume"],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+            )
+
+    def look(self, checkpoint: bool) -> dict[str, Any]:
+        """After a second, or when it ends: its exit code (None before), its progress.json, its log at the end, and its
+        files at the end or, where a checkpoint is asked for and there is a new one, with that."""
+        try:
+            code = self.process.wait(LOOK_SECONDS)
+        except subprocess.TimeoutExpired:
+            code = None
+        progress = self.directory / "progress.json"
+        shown = progress.read_bytes() if progress.exists() else b""
+        seen: dict[str, Any] = {"code": code, "progress": shown, "files": {}, "log": b""}
+        if code is not None:
+            seen |= {"files": read_files(self.directory), "log": self.log.read_bytes()[-(2**20) :]}
+            shutil.rmtree(self.folder, ignore_errors=True)
+        elif checkpoint and (self.directory / "checkpoint.pt").exists():
+            made = (self.directory / "checkpoint.pt").stat().st_mtime_ns
+            if made != self.sent and (files := read_files(self.directory)):
+                self.sent, seen["files"] = made, files
+        return seen
+
+    def stop(self) -> None:
+        """Asks for an end at the next checkpoint."""
+        self.process.terminate()
+
+
+# --- where the campaign is ---
+def pack() -> bytes:
+    """The scripts and environments of this checkout, as a zip file that is the same for the same files."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for folder, name in ((training.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
+            for path in sorted(folder.rglob("*")):
+                if path.is_file() and "__pycache__" not in path.parts:
+                    archive.writestr(zipfile.ZipInfo(f"{name}/{path.relative_to(folder)}"), path.read_bytes())
+    return packed.getvalue()
+
+
+class RayJob:
+    """A run on the cluster, whose directory here is locked meanwhile."""
+
+    def __init__(self, run: Run, begin: Callable[..., Any], commit: Any):
+        self.run, self.commit, self.lost = run, commit, False
+        run.directory.mkdir(parents=True, exist_ok=True)
+        self.lock = filelock.FileLock(run.directory / "lock")
+        self.lock.acquire(timeout=0)
+        self.trainer = begin(run.algorithm, run.arguments(), read_files(run.directory))
+        self.seen, self.asked = self.trainer.look.remote(True), time.monotonic()
+        self.began, self.stopping = False, False  # began: the cluster had a core for it
+
+    def poll(self) -> int | None:
+        """The exit code, None while it goes on; keeps what has come back. OSError where it cannot be written."""
+        if self.stopping and not self.began:
+            return self.end(128 + signal.SIGTERM)
+        if not ray.wait([self.seen], timeout=0)[0]:
+            return None
+        try:
+            seen = ray.get(self.seen)
+        except ray.exceptions.RayTaskError as error:  # the node's disk is full, for one
+            return self.end(1, str(error.cause).encode())
+        except ray.exceptions.RayError:
+            self.lost = True
+            return self.end(1)
+        self.began = True
+        try:
+            if seen["files"]:
+                write_files(self.run.directory, self.with_commit(seen["files"]))
+            if seen["progress"]:
+                (self.run.directory / "progress.json").write_bytes(seen["progress"])
+        except OSError:
+            self.end(1)
+            raise
+        if seen["code"] is not None:
+            return self.end(seen["code"], seen["log"])
+        checkpoint = time.monotonic() - self.asked >= CHECKPOINT_SECONDS
+        if checkpoint:
+            self.asked = time.monotonic()
+        self.seen = self.trainer.look.remote(checkpoint)
+        return None
+
+    def with_commit(self, files: dict[str, bytes]) -> dict[str, bytes]:
+        """The files of a run, its config.json naming the commit that was sent: a node has no checkout to ask."""
+        if "config.json" not in files:
+            return files
+        config = json.loads(files["config.json"]) | {"commit": self.commit}
+        return files | {"config.json": json.dumps(config, indent=2).encode()}
+
+    def end(self, code: int, log: bytes = b"") -> int:
+        """Frees the core and the directory."""
+        ray.kill(self.trainer)
+        (self.run.directory / "progress.json").unlink(missing_ok=True)
+        if log:
+            log_path(self.run).write_bytes(log)
+        self.lock.release()
+        return code
+
+    def stop(self) -> None:
+        """Asks for an end at the next checkpoint."""
+        self.stopping = True
+        if self.began:
+            self.trainer.stop.remote()
+
+
+def commit_here() -> str | None:
+    """The commit of this checkout, as a config.json that is made here has it."""
+    nothing = SimpleNamespace(total_timesteps=0)
+    commit: str | None = describe(__file__, nothing, nothing)["commit"]
+    return commit
+
+
+def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run], RayJob], Callable[[], int]]:
+    """Joins a cluster: what makes a job of a run, and how many jobs there is room for (by default, the cores that the
+    cluster has at the moment). InputError where no cluster answers at this address."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if host:  # Ray itself would try for five minutes
+            socket.create_connection((host, int(port)), timeout=10).close()
+        ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+    except (OSError, ValueError) as error:
+        raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    ray.cloudpickle.register_pickle_by_value(fast_mkl)
+    begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()), fast)
+    start = functools.partial(RayJob, begin=begin, commit=commit_here())
+    return start, lambda: jobs or max(int(ray.cluster_resources().get("CPU", 0)), 1)

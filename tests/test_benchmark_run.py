@@ -1,0 +1,785 @@
+"""Campaigns: what is planned, skipped, gone on with, kept aside, stopped, and run on a cluster.
+
+Most tests run a stand-in for the training scripts: the same command line, files, locks, signals and exit codes, but it
+only counts. Its flag --pace is how long a step takes.
+"""
+
+import contextlib
+import csv
+import fcntl
+import importlib
+import json
+import os
+import pty
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import envs
+import fast_mkl
+import plan
+import results
+import run
+import search
+import training
+import view
+
+BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
+
+STAND_IN = """
+import argparse, json, os, signal, sys, time, zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import filelock
+
+ALGORITHM = Path(__file__).stem
+
+
+@dataclass
+class Args:
+    env: str = ""
+    seed: int = 0
+    total_timesteps: int = 40
+    learning_rate: float = 0.5
+    pace: float = 0.002  # seconds for a step
+    trouble: str = ""  # what goes wrong
+    parameter_sharing: bool = True
+    device: str = "cpu"
+    run_dir: str = ""
+    resume: bool = False
+    watch: str = ""
+
+
+def paper_defaults(env="", parameter_sharing=True):
+    return Args(env=env, parameter_sharing=parameter_sharing)
+
+
+def parse(argv):
+    parser = argparse.ArgumentParser(allow_abbrev=False)
+    for name, value in vars(Args()).items():
+        words = {"action": argparse.BooleanOptionalAction} if isinstance(value, bool) else {"type": type(value)}
+        parser.add_argument("--" + name.replace("_", "-"), default=value, **words)
+    return Args(**vars(parser.parse_args(argv)))
+
+
+def progress_of(path):
+    try:
+        with zipfile.ZipFile(path) as file:
+            return json.loads(file.read("progress"))
+    except (OSError, zipfile.BadZipFile):
+        return None
+
+
+def whole(path, text):
+    new = path.with_name(path.name + ".new")
+    new.write_text(text)
+    new.replace(path)
+
+
+def save(directory, args, timestep, rows):
+    with zipfile.ZipFile(directory / "checkpoint.new.pt", "w") as file:
+        file.writestr("progress", json.dumps([timestep, rows]))
+    if (directory / "checkpoint.pt").exists():
+        (directory / "checkpoint.pt").replace(directory / "checkpoint.previous.pt")
+    (directory / "checkpoint.new.pt").replace(directory / "checkpoint.pt")
+    write_tables(directory, args, rows)
+
+
+def write_tables(directory, args, rows):
+    names = ("total_timesteps", "learning_rate", "pace", "trouble")
+    changed = {name: value for name, value in vars(args).items() if name in names and value != getattr(Args(), name)}
+    config = {"algorithm": ALGORITHM, "flags": vars(args), "changed": changed, "paper_timesteps": 40, "commit": None}
+    whole(directory / "config.json", json.dumps(config | {"version": "0", "preloaded": os.environ.get("LD_PRELOAD")}))
+    names = "point timestep wall_seconds cpu_seconds return_mean return_std episode_length".split()
+    whole(directory / "evaluations.csv", "".join(",".join(map(str, row)) + "\\n" for row in [names, *rows]))
+
+
+def main():
+    args = parse(sys.argv[1:])
+    stopped = []
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: stopped.append(number))
+    directory = Path(args.run_dir)
+    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = filelock.FileLock(directory / "lock").acquire(timeout=0)
+    except filelock.Timeout:
+        sys.exit(print(f"{directory} is in use.", file=sys.stderr) or 2)
+    parent = os.getppid()
+    found = [progress_of(directory / f"checkpoint{which}.pt") for which in ("", ".previous")]
+    timestep, rows = next(filter(None, found), [0, []])
+    print("begins at", timestep, flush=True)
+    if rows:
+        write_tables(directory, args, rows)
+    if args.trouble == "lies":
+        sys.exit()
+    if ALGORITHM == "iql" and timestep == 0:
+        (directory / "replay.bin").touch()
+    if ALGORITHM == "iql" and timestep < args.total_timesteps and not (directory / "replay.bin").exists():
+        sys.exit(print(f"{directory / 'replay.bin'} is gone, so this run cannot go on.", file=sys.stderr) or 2)
+    while True:
+        if timestep % 10 == 0 and timestep // 10 == len(rows):
+            rows.append([timestep // 10, timestep, 1.0, 1.0, args.learning_rate * timestep, 0.0, 25.0])
+            save(directory, args, timestep, rows)
+            shown = {"timestep": timestep, "total_timesteps": args.total_timesteps, "steps_per_second": 1000.0,
+                     "training_return": None, "evaluation_return": 1.5, "wall_seconds": 1.0}
+            whole(directory / "progress.json", json.dumps(shown))
+        if timestep >= args.total_timesteps:
+            break
+        if len(stopped) > 1:
+            os._exit(9)  # told twice, it loses its checkpoint
+        if stopped:
+            time.sleep(0.2)
+            save(directory, args, timestep, rows)
+            sys.exit(128 + stopped[0])
+        if args.trouble == f"fails{args.seed}":
+            sys.exit("It fails for a reason.")
+        if args.trouble == "disk":
+            sys.exit(print("[Errno 28] No space left on device", file=sys.stderr) or 2)
+        if os.getppid() != parent:
+            os._exit(1)
+        time.sleep(args.pace)
+        timestep += 1
+    (directory / "replay.bin").unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    main()
+"""
+
+DRIVER = """
+import sys
+from pathlib import Path
+
+sys.path.insert(0, sys.argv.pop(1))
+import training
+
+training.ALGOS = Path(sys.argv.pop(1))
+import run
+
+if __name__ == "__main__":
+    run.main()
+"""
+
+
+@pytest.fixture(autouse=True)
+def scripts(tmp_path, monkeypatch):
+    """Three stand-ins as the scripts, and a fresh working directory."""
+    folder = tmp_path / "algos"
+    folder.mkdir()
+    for name in ("ia2c", "mappo", "iql"):
+        (folder / f"{name}.py").write_text(STAND_IN)
+    for path in (BENCHMARK.parent / "algos").glob("*.py"):
+        monkeypatch.setitem(sys.modules, path.stem, None)  # so that afterwards all is as it was
+        monkeypatch.delitem(sys.modules, path.stem)
+    (tmp_path / "driver.py").write_text(DRIVER)
+    monkeypatch.setattr(training, "ALGOS", folder)
+    monkeypatch.setattr(plan, "SCRIPTS", {})
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "results")
+    return folder
+
+
+def campaign(monkeypatch, *words):
+    """run.py in this process, with its default handlers of signals afterwards; gives the exit code."""
+    command = ["run.py", "--results", "results", *map(str, words)]
+    if "--tasks" not in command:
+        command[1:1] = ["--tasks", "matrix-climbing"]
+    if "--algorithms" not in command:
+        command[1:1] = ["--algorithms", "ia2c"]
+    monkeypatch.setattr(sys, "argv", command)
+    handlers = {number: signal.getsignal(number) for number in run.SIGNALS}
+    try:
+        run.main()
+    except SystemExit as end:
+        return end.code
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def driver(tmp_path, *words):
+    """The command that does the same in another process."""
+    command = [sys.executable, "driver.py", str(BENCHMARK), str(tmp_path / "algos"), "--results", "results"]
+    return [*command, "--algorithms", "ia2c", "--tasks", "matrix-climbing", *map(str, words)]
+
+
+def seeds_of(name, task="matrix-climbing"):
+    """The seeds of a table of the results, and their last returns."""
+    path = Path("results") / task / f"{name}.csv"
+    if not path.exists():
+        return {}
+    with open(path) as file:
+        return {int(row["seed"]): float(row["return_mean"]) for row in csv.DictReader(file)}
+
+
+def folder_of(seed, name="ia2c-shared"):
+    return Path("runs/matrix-climbing") / name / f"seed{seed}"
+
+
+def make_plan(algorithms, tasks, sharings=(True,), seeds=1, flags=(), grid=None):
+    """The plan for words of the command line."""
+    chosen = plan.chosen_algorithms(algorithms.split()), plan.chosen_tasks(tasks.split())
+    return plan.make_plan(*chosen, list(sharings), seeds, tuple(flags), grid, Path("runs"))
+
+
+class TestPlan:
+    def test_families_tasks_and_all(self):
+        runs = make_plan("mappo ia2c", "matrix lbf-5x5-2p-1f matrix-climbing", (True, False), seeds=2)
+        assert len(runs) == 2 * (6 + 1) * 2 * 2
+        assert [run.seed for run in runs] == [0] * 28 + [1] * 28
+        assert len({run.directory for run in runs}) == len(runs)
+        assert {run.task for run in make_plan("all", "all")} == set(envs.task_names())
+        assert {run.algorithm for run in make_plan("all", "all")} == {"ia2c", "iql", "mappo"}
+
+    def test_a_changed_flag_has_its_own_place(self):
+        (run,) = make_plan("mappo", "matrix-climbing", flags=["--learning-rate", "0.25"])
+        assert run.changed == {"learning_rate": 0.25}
+        assert run.directory == Path("runs/matrix-climbing/mappo-shared-learning-rate=0.25/seed0")
+        (same,) = make_plan("mappo", "matrix-climbing", flags=["--learning-rate", "0.5"])
+        assert same.changed == {} and same.directory == Path("runs/matrix-climbing/mappo-shared/seed0")
+
+    @pytest.mark.parametrize(
+        "words, said",
+        [
+            (["--algorithms", "mapo"], "unknown algorithm 'mapo'"),
+            (["--tasks", "matrix-climbin"], "unknown task 'matrix-climbin'"),
+            (["--", "--no-such-flag", "1"], "ia2c on matrix-climbing does not take"),
+            (["--", "--seed", "7"], "--seed is chosen by this program"),
+            (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
+            (["--jobs", "0"], "must be positive"),
+        ],
+    )
+    def test_wrong_input_is_named(self, monkeypatch, capsys, words, said):
+        assert campaign(monkeypatch, *words) == 2
+        assert said in capsys.readouterr().err
+        assert not Path("runs").exists()
+
+    def test_the_scripts_take_the_plan(self, monkeypatch):
+        """The real scripts, every one on a task of every family, with the whole of the paper's grid."""
+        monkeypatch.setattr(training, "ALGOS", BENCHMARK.parent / "algos")
+        grid = plan.read_grid(BENCHMARK / "grids" / "paper.csv")
+        paper = make_plan("all", "matrix", (True, False), seeds=2)
+        assert all(run.changed == {} for run in paper) and len(paper) == 9 * 6 * 2 * 2
+        searched = make_plan("ia2c qmix", "matrix-climbing", (True,), 3, grid=grid)
+        searched += make_plan("maddpg", "matrix-climbing lbf-15x15-3p-5f", (True,), 3, grid=grid)
+        sizes: dict[tuple[str, str], int] = {}
+        for one in searched:
+            sizes[one.algorithm, one.task] = sizes.get((one.algorithm, one.task), 0) + 1
+        assert sizes == {  # by hand: 2 x 3 x 2 x 2 for all, times what each has of its own, three seeds
+            ("ia2c", "matrix-climbing"): 24 * 4 * 3,
+            ("qmix", "matrix-climbing"): 24 * 4 * 3,
+            ("maddpg", "matrix-climbing"): 24 * 2 * 3,
+            ("maddpg", "lbf-15x15-3p-5f"): 48 * 2 * 3,
+        }
+        assert sum(one.changed == {} for one in searched) == 4 * 3  # the paper's choice lies in its grid
+
+    @pytest.mark.parametrize(
+        "text, said",
+        [
+            ("flag,values\na,b\n", "its columns must be"),
+            ("", "its columns must be"),
+            ("algorithms,families,flag,values\nia2c,matrix,pace\n", "its columns must be"),
+            ("algorithms,families,flag,values\nia2c,matrix,pace,\n", "without values: pace"),
+            ("algorithms,families,flag,values\nmappo,matrix,pace,1\n", "no line for ia2c"),
+        ],
+    )
+    def test_a_grid_that_is_none(self, monkeypatch, capsys, text, said):
+        Path("grid.csv").write_text(text)
+        assert campaign(monkeypatch, "--grid", "grid.csv") == 2
+        assert said in capsys.readouterr().err
+
+
+class TestRunning:
+    def test_runs_are_collected_and_then_skipped(self, monkeypatch, capsys):
+        words = ["--algorithms", "ia2c", "iql", "--seeds", 2, "--sharing", "both"]
+        assert campaign(monkeypatch, *words) == 0
+        for name in ("ia2c-shared", "ia2c-independent", "iql-shared", "iql-independent"):
+            assert seeds_of(name) == {0: 20.0, 1: 20.0}
+        assert "8 of 8 runs are in" in capsys.readouterr().out
+        assert not list(Path("runs").rglob("log-*"))
+        before = {path: path.stat().st_mtime_ns for path in Path("runs").rglob("*")}
+        assert campaign(monkeypatch, *words) == 0
+        assert before == {path: path.stat().st_mtime_ns for path in Path("runs").rglob("*")}
+        assert campaign(monkeypatch, *words[:3], "--seeds", 3, "--runs", "others") == 0  # two are in the results
+        assert sorted(path.name for path in Path("others").rglob("seed*")) == ["seed2", "seed2"]
+
+    def test_what_is_complete_is_collected(self, monkeypatch):
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        monkeypatch.setattr(run, "LocalJob", None)  # no run may start
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert seeds_of("ia2c-shared") == {0: 20.0}
+
+    def test_a_failure_is_kept_and_the_others_go_on(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 3, "--jobs", 1, "--", "--trouble", "fails1") == 1
+        assert set(seeds_of("ia2c-shared-trouble=fails1")) == {0, 2}
+        said = capsys.readouterr().out
+        assert "2 of 3 runs are in" in said and "seed 1: exit code 1: It fails for a reason." in said
+        (log,) = Path("runs").rglob("log-*")
+        assert log.name == "log-seed1.txt" and log.read_text() == "begins at 0\nIt fails for a reason.\n"
+
+    def test_as_many_at_once_as_there_are_jobs(self, monkeypatch):
+        most = []
+
+        class Counted(run.LocalJob):
+            def __init__(self, *args):
+                super().__init__(*args)
+                most.append(sum(1 for job in jobs if job.poll() is None) + 1)
+                jobs.append(self)
+
+        jobs: list[Counted] = []
+        monkeypatch.setattr(run, "LocalJob", Counted)
+        assert campaign(monkeypatch, "--seeds", 4, "--jobs", 2) == 0
+        assert most[:2] == [1, 2] and max(most) == 2
+
+    def test_a_run_goes_on_from_its_checkpoint(self, monkeypatch, capsys):
+        """Stopped by a signal to this program, it counts on: a run that began anew would not say so."""
+        timer = threading.Thread(target=signal_when, args=(folder_of(0, "ia2c-shared-pace=0.02") / "checkpoint.pt",))
+        timer.start()
+        flags = ["--seeds", 2, "--jobs", 1, "--", "--pace", "0.02"]
+        assert campaign(monkeypatch, *flags) == 128 + signal.SIGTERM
+        timer.join()
+        said = capsys.readouterr()
+        assert "0 of 2 runs are in" in said.out and "the same command goes on" in said.out
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, *flags) == 0
+        assert seeds_of("ia2c-shared-pace=0.02") == {0: 20.0, 1: 20.0}
+        begun = {name: int(log.split()[2]) for name, log in logs.items()}
+        assert 0 < begun["log-seed0.txt"] < 40 and begun["log-seed1.txt"] == 0
+
+    def test_a_full_disk_ends_the_campaign(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", "disk") == 1
+        said = capsys.readouterr().out
+        assert said.startswith("The disk is full") and said.count("failed:") == 1
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file that is always full")
+    def test_results_on_a_full_disk_stay_whole(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        table = Path("results/matrix-climbing/ia2c-shared.csv")
+        before = table.read_bytes()
+        table.with_name(f"{table.name}.new").symlink_to("/dev/full")
+        assert campaign(monkeypatch, "--seeds", 2) == 1
+        assert "The disk is full" in capsys.readouterr().out
+        assert table.read_bytes() == before
+        assert campaign(monkeypatch, "--seeds", 2) == 0  # now there is room
+        assert seeds_of("ia2c-shared") == {0: 20.0, 1: 20.0}
+
+
+def signal_when(path):
+    """Sends this program a signal once a file is there."""
+    while not path.exists():
+        time.sleep(0.01)
+    time.sleep(0.1)
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def keep_logs(monkeypatch):
+    """The logs of runs by name, which are otherwise gone when a run is complete."""
+    logs = {}
+    finish = run.Campaign.finish
+
+    def keep(self, one, code, lost):
+        if plan.log_path(one).exists():
+            logs[plan.log_path(one).name] = plan.log_path(one).read_text()
+        finish(self, one, code, lost)
+
+    monkeypatch.setattr(run.Campaign, "finish", keep)
+    return logs
+
+
+def damage_checkpoint(path):
+    """Changes one bit in the middle of the data, which only the check sum tells."""
+    damaged = bytearray(path.read_bytes())
+    damaged[45] ^= 1
+    path.write_bytes(damaged)
+
+
+class TestDamage:
+    """Directories damaged by hand are kept, and the run is made again."""
+
+    @pytest.fixture
+    def complete(self, monkeypatch):
+        """A complete run that was not collected."""
+        assert campaign(monkeypatch, "--algorithms", "ia2c", "iql", "--seeds", 1, "--results", "elsewhere") == 0
+        return folder_of(0)
+
+    def redone(self, monkeypatch, capsys, name="ia2c"):
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--algorithms", name, "--seeds", 1) == 0
+        assert seeds_of(f"{name}-shared") == {0: 20.0}
+        kept = Path("runs-damaged/matrix-climbing", f"{name}-shared", "seed0")
+        assert (kept / "config.json").exists()
+        assert f"damaged, {self.reason}; kept in {kept.resolve()}" in capsys.readouterr().err
+        assert logs["log-seed0.txt"].startswith("begins at 0\n")
+
+    @pytest.mark.parametrize("change", ["cut", "point", "config"])
+    def test_of_tables_that_the_checkpoint_has(self, monkeypatch, complete, change):
+        """The script makes them again from its checkpoint; nothing is trained again."""
+        table, config = complete / "evaluations.csv", complete / "config.json"
+        lines = table.read_text().splitlines(keepends=True)
+        if change == "cut":
+            table.write_text("".join(lines[:-1]))
+        elif change == "point":
+            table.write_text("".join(lines[:2] + lines[3:]))
+        else:
+            config.write_text(config.read_text()[:-5])
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert logs == {"log-seed0.txt": "begins at 40\n"} and seeds_of("ia2c-shared") == {0: 20.0}
+        assert table.read_text() == "".join(lines)
+
+    def test_that_does_not_heal(self, monkeypatch, capsys):
+        """A script that ends well without its evaluations: once more from the beginning, and no more."""
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--trouble", "lies") == 1
+        said = capsys.readouterr().out
+        assert "failed: matrix-climbing ia2c-shared-trouble=lies seed 0: it ended without its last evaluation" in said
+        assert len(list(Path("runs-damaged").rglob("seed0*"))) == 1
+
+    def test_of_all_checkpoints(self, monkeypatch, capsys, complete):
+        for path in complete.glob("checkpoint*.pt"):
+            damage_checkpoint(path)
+        self.reason = "it has no checkpoint that can be read"
+        self.redone(monkeypatch, capsys)
+
+    def test_of_all_files_but_checkpoints_that_are_damaged(self, monkeypatch, capsys, complete):
+        (complete / "evaluations.csv").unlink()
+        self.test_of_all_checkpoints(monkeypatch, capsys, complete)
+
+    def test_the_checkpoint_before_suffices(self, monkeypatch, capsys, complete):
+        """The run is gone on with from there, for 10 steps."""
+        damage_checkpoint(complete / "checkpoint.pt")
+        lines = (complete / "evaluations.csv").read_text().splitlines(keepends=True)
+        (complete / "evaluations.csv").write_text("".join(lines[:-1]))
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert "checkpoint.pt is damaged, it goes on from another checkpoint" in capsys.readouterr().err
+        assert logs == {"log-seed0.txt": "begins at 30\n"} and seeds_of("ia2c-shared") == {0: 20.0}
+        assert not Path("runs-damaged").exists()
+
+    def test_damaged_checkpoints_are_dropped(self, complete):
+        """PyTorch would load one, so it must be gone before the script starts."""
+        damage_checkpoint(complete / "checkpoint.pt")
+        assert plan.drop_damaged_checkpoints(plan_of(complete)) == ["checkpoint.pt"]
+        assert [path.name for path in complete.glob("checkpoint*.pt")] == ["checkpoint.previous.pt"]
+
+    def test_of_a_replay(self, monkeypatch, capsys, complete):
+        """A complete run deletes it; here the last checkpoint is lost, too."""
+        directory = folder_of(0, "iql-shared")
+        (directory / "checkpoint.previous.pt").replace(directory / "checkpoint.pt")
+        (directory / "evaluations.csv").unlink()
+        self.reason = f"{(directory / 'replay.bin').resolve()} is gone, so this run cannot go on."
+        self.redone(monkeypatch, capsys, "iql")
+
+    def test_twice_damaged_is_kept_twice(self, monkeypatch, complete):
+        for kept in ("seed0", "seed0-2"):
+            for path in complete.glob("checkpoint*.pt"):
+                path.write_bytes(b"damaged")
+            assert campaign(monkeypatch, "--seeds", 1, "--results", kept) == 0
+            assert (Path("runs-damaged/matrix-climbing/ia2c-shared") / kept / "config.json").exists()
+
+    def test_real_checkpoints_have_check_sums(self, tmp_path):
+        import torch
+
+        torch.save({"weights": torch.zeros(1000)}, tmp_path / "checkpoint.pt")
+        data = bytearray((tmp_path / "checkpoint.pt").read_bytes())
+        assert plan.is_whole(tmp_path / "checkpoint.pt")
+        data[data.find(bytes(1000)) + 500] = 1
+        (tmp_path / "checkpoint.pt").write_bytes(data)
+        assert not plan.is_whole(tmp_path / "checkpoint.pt")
+
+
+class TestTwoCampaigns:
+    def test_at_once_on_the_same_runs_and_results(self, tmp_path):
+        words = ["--seeds", 6, "--jobs", 2, "--", "--pace", "0.01"]
+        both = [subprocess.Popen(driver(tmp_path, *words), stderr=subprocess.PIPE, text=True) for _ in range(2)]
+        said = [process.communicate(timeout=120)[1] for process in both]
+        assert 0 in [process.returncode for process in both], said
+        assert seeds_of("ia2c-shared-pace=0.01") == dict.fromkeys(range(6), 20.0)
+        assert "failed" not in "".join(said) and not list(Path("runs").rglob("log-*"))
+
+    def test_a_run_in_use_is_left_alone(self, monkeypatch, capsys):
+        directory = folder_of(1)
+        directory.mkdir(parents=True)
+        with run.filelock.FileLock(directory / "lock"):
+            assert campaign(monkeypatch, "--seeds", 2) == 1
+        assert seeds_of("ia2c-shared") == {0: 20.0}
+        assert "in use by another program: matrix-climbing ia2c-shared seed 1" in capsys.readouterr().out
+
+
+class TestView:
+    def test_progress_from_what_a_run_writes(self, tmp_path):
+        assert view.read_progress(tmp_path) == view.Progress()
+        (tmp_path / "config.json").write_text(json.dumps({"flags": {"total_timesteps": 200}}))
+        (tmp_path / "evaluations.csv").write_text("timestep,wall_seconds,return_mean\n0,0.1,1\n50,5.0,2.5\n")
+        assert view.read_progress(tmp_path) == view.Progress(0.25, 10.0, 2.5, 15.0)
+        said = {"timestep": 100, "total_timesteps": 200, "steps_per_second": 4.0, "training_return": 3.0}
+        (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": None}))
+        assert view.read_progress(tmp_path) == view.Progress(0.5, 4.0, 3.0, 25.0)
+        (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": 7.0}))
+        assert view.read_progress(tmp_path).last_return == 7.0
+
+    def test_plain_lines_where_there_is_no_terminal(self, monkeypatch, capsys):
+        monkeypatch.setattr(view, "LINES_EVERY", 0.2)
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", "0.02") == 0
+        said = capsys.readouterr().err
+        assert "\x1b" not in said and "\r" not in said
+        assert "0 of 1 runs in the results, 1 running" in said and view.HEADER in said
+        assert "1,000      1.50" in said  # steps per second, last return
+
+    def test_ctrl_c_in_a_terminal(self, tmp_path):
+        """A table that is redrawn; Ctrl-C reaches the runs once, and they keep their checkpoints."""
+        pid, terminal = pty.fork()
+        if pid == 0:
+            os.execv(sys.executable, driver(tmp_path, "--seeds", 2, "--jobs", 2, "--", "--pace", "0.1"))
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+        said, pressed, deadline = b"", 0, time.monotonic() + 60
+        names = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
+        with contextlib.suppress(OSError):  # the terminal is closed with the program
+            while time.monotonic() < deadline:
+                said += os.read(terminal, 10_000)
+                if not pressed and said.count(b"1.50") > 3 and all((name / "checkpoint.pt").exists() for name in names):
+                    pressed = os.write(terminal, b"\x03")
+                    time.sleep(0.15)
+                    os.write(terminal, b"\x03")
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 128 + signal.SIGINT
+        text = said.decode()
+        assert view.HEADER.split()[0] in text and "\x1b[A" in text and "the same command goes on" in text
+        for name in names:
+            assert plan.is_whole(name / "checkpoint.pt")
+            assert not plan.log_path(plan_of(name)).exists()
+
+
+def plan_of(directory):
+    """Some run that is kept in this directory."""
+    return plan.Run("ia2c", "matrix-climbing", True, 0, (), {}, 40, directory)
+
+
+class TestDryRun:
+    def test_the_list_and_the_core_hours(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
+        steps = 36_000_000
+        assert campaign(monkeypatch, "--seeds", 2, "--jobs", 2, "--dry-run") == 0
+        said = capsys.readouterr().out
+        assert "seed 0: in the results" in said and "seed 1: new" in said
+        assert campaign(monkeypatch, "--jobs", 2, "--dry-run", "--", "--total-timesteps", steps) == 0
+        said = capsys.readouterr().out  # 5 seeds of 36 million steps at 10,000 a second: one hour each
+        assert "matrix-climbing ia2c shared: 10,000 steps/s, 5.00 core hours" in said
+        assert "In all 5.0 core hours, with --jobs 2 about 2:30:00" in said
+        assert not list(Path("runs").rglob("*total-timesteps*"))
+
+    def test_nothing_is_left(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert campaign(monkeypatch, "--seeds", 1, "--dry-run") == 0
+        assert "Nothing is left to run" in capsys.readouterr().out
+
+
+def measured(name, flags, seconds, timer):
+    assert flags[:3] == ["--env", "matrix-climbing", "--parameter-sharing"]
+    return training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
+
+
+class Here:
+    """A pool of processes that is this process."""
+
+    def __init__(self, *_):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def submit(self, function, *args):
+        result = function(*args)
+        return type("Future", (), {"result": lambda self: result})()
+
+
+class TestFastMKL:
+    def test_it_is_built_and_preloaded(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+        monkeypatch.setenv("LD_PRELOAD", "")
+        try:
+            library = fast_mkl.build()
+        except fast_mkl.NotPossible as reason:
+            pytest.skip(str(reason))
+        import ctypes
+
+        assert ctypes.CDLL(str(library)).mkl_serv_intel_cpu_true() == 1
+        assert [path.name for path in library.parent.iterdir()] == ["fast-mkl.so"]
+        assert campaign(monkeypatch, "--seeds", 1, "--fast-mkl") == 0
+        config = json.loads((folder_of(0) / "config.json").read_text())
+        assert config["preloaded"] == str(library)
+
+    @pytest.mark.parametrize("why", ["compiler", "Intel"])
+    def test_without_it_the_runs_go_on(self, monkeypatch, capsys, tmp_path, why):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+        monkeypatch.setattr(fast_mkl.shutil, "which", lambda name: None)
+        processor = "vendor_id : " + ("GenuineIntel" if why == "Intel" else "AuthenticAMD")
+        monkeypatch.setattr(fast_mkl.Path, "read_text", lambda self: processor)
+        with pytest.raises(fast_mkl.NotPossible, match=why):
+            fast_mkl.build()
+        monkeypatch.undo()
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(training, "ALGOS", tmp_path / "algos")
+        monkeypatch.setattr(fast_mkl, "build", lambda: refuse(f"no {why}"))
+        assert campaign(monkeypatch, "--seeds", 1, "--fast-mkl") == 0
+        assert f"--fast-mkl: no {why}; the runs go on without" in capsys.readouterr().err
+
+
+def refuse(reason):
+    raise fast_mkl.NotPossible(reason)
+
+
+class TestRay:
+    @pytest.fixture(autouse=True)
+    def ray(self):
+        """Ray, where it is installed."""
+        return pytest.importorskip("ray")
+
+    @pytest.fixture
+    def nodes(self, monkeypatch, ray):
+        """A cluster of two nodes with one core each, on this machine: the cluster, and the second node."""
+        folder = tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True)  # a short name, for its sockets
+        monkeypatch.setenv("TMPDIR", folder.name)
+        monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        from ray.cluster_utils import Cluster
+
+        impatient = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
+        impatient |= {"health_check_timeout_ms": 2000, "health_check_failure_threshold": 2}
+        small: dict[str, Any] = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+        head = small | {"include_dashboard": False, "_system_config": impatient}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        yield cluster, cluster.add_node(**small)
+        ray.shutdown()
+        cluster.shutdown()
+        folder.cleanup()
+
+    def test_a_stop_and_a_lost_node(self, monkeypatch, capsys, nodes, ray):
+        """A signal stops a run, which comes back. Then there are two on two nodes, one of which is killed: its run goes
+        on elsewhere, from the checkpoint that came."""
+        import cluster
+
+        machines, second = nodes
+        monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
+        monkeypatch.setattr(cluster, "CHECKPOINT_SECONDS", 0.0)
+        words = ["--ray", machines.address, "--seeds", 1, "--", "--pace", "0.05"]
+        stopped = folder_of(0, "ia2c-shared-pace=0.05")
+        stopper, logs = threading.Thread(target=signal_when, args=(stopped / "checkpoint.pt",)), keep_logs(monkeypatch)
+        stopper.start()
+        assert campaign(monkeypatch, *words) == 128 + signal.SIGTERM
+        stopper.join()
+        assert plan.is_whole(stopped / "checkpoint.pt") and not run.in_use(stopped)
+        ray.shutdown()
+        assert campaign(monkeypatch, *words[2:]) == 0  # it goes on without the cluster
+        assert int(logs["log-seed0.txt"].split()[2]) > 0 and seeds_of("ia2c-shared-pace=0.05") == {0: 20.0}
+
+        directories = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
+
+        def kill():
+            while not all((directory / "checkpoint.previous.pt").exists() for directory in directories):
+                time.sleep(0.05)
+            machines.remove_node(second, allow_graceful=False)
+
+        logs.clear()
+        capsys.readouterr()
+        killer = threading.Thread(target=kill)
+        killer.start()
+        assert campaign(monkeypatch, "--ray", machines.address, "--seeds", 2, "--", "--pace", "0.1") == 0
+        killer.join()
+        assert seeds_of("ia2c-shared-pace=0.1") == {0: 20.0, 1: 20.0}
+        said = capsys.readouterr().err
+        assert said.count("its node was lost, it goes on elsewhere") == 1
+        assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
+        config = json.loads((directories[0] / "config.json").read_text())
+        assert config["commit"] == cluster.commit_here()
+        assert not (directories[0] / "progress.json").exists() and not run.in_use(directories[0])
+
+    def test_files_take_the_place_of_others(self, tmp_path):
+        import cluster
+
+        directory = tmp_path / "run"
+        (directory / "wandb").mkdir(parents=True)
+        for name in ("checkpoint.previous.pt", "checkpoint.pt", "config.json", "lock"):
+            (directory / name).write_text("old")
+        cluster.write_files(directory, {"checkpoint.pt": b"new", "replay.bin": b"new"})
+        kept = {"checkpoint.pt": b"new", "replay.bin": b"new", "config.json": b"old"}
+        assert cluster.read_files(directory) == kept and (directory / "lock").read_text() == "old"
+
+    def test_a_checkpoint_without_its_replay_stays(self, tmp_path, monkeypatch):
+        import cluster
+
+        directory = tmp_path / "run"
+        directory.mkdir()
+        (directory / "checkpoint.pt").write_text("whole")
+        (directory / "replay.bin").write_text("much too large")
+        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 5)
+        assert cluster.read_files(directory) == {}
+        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 100)
+        assert sorted(cluster.read_files(directory)) == ["checkpoint.pt", "replay.bin"]
+
+    @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "auto"])
+    def test_no_cluster(self, monkeypatch, capsys, address):
+        assert campaign(monkeypatch, "--ray", address) == 2
+        assert f"no Ray cluster answers at {address}" in capsys.readouterr().err
+
+
+class TestSearch:
+    def test_a_grid_from_its_file_to_its_winner(self, monkeypatch, capsys, tmp_path):
+        """The stand-in's return is 40 times its learning rate; 0.5 is its paper's choice."""
+        lines = ["ia2c mappo,matrix lbf,learning_rate,0.25 0.5 1.0", "ia2c,matrix,device,cpu"]
+        Path("grid.csv").write_text("\n".join(["algorithms,families,flag,values", *lines]))
+        assert campaign(monkeypatch, "--grid", "grid.csv", "--results", "searches") == 0
+        assert "9 of 9 runs are in" in capsys.readouterr().out
+        assert search.search_report(Path("searches")).splitlines() == [
+            "### ia2c with parameter sharing on matrix-climbing",
+            "",
+            "3 variants, 9 runs of 40 timesteps. The winner: learning_rate 1.0. The paper's choice has place 2.",
+            "",
+            "|  | learning_rate | seeds | score | average return |",
+            "| --- | --- | --- | --- | --- |",
+            "| 1 | 1.0 | 3 | 40.00 | 20.00 |",
+            "| 2 (the paper's) | 0.5 | 3 | 20.00 | 10.00 |",
+            "| 3 | 0.25 | 3 | 10.00 | 5.00 |",
+        ]
+        monkeypatch.setattr(sys, "argv", ["report.py", "--grid", "searches"])
+        importlib.import_module("report").main()
+        assert "The winner: learning_rate 1.0." in capsys.readouterr().out
+
+    def test_the_best_point_of_the_mean_and_then_the_average(self):
+        """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way. C learns and
+        forgets."""
+        curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
+        rows = [
+            {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
+            | {"return_mean": float(value)}
+            for name, seeds in curves.items()
+            for seed, values in enumerate(seeds)
+            for point, value in enumerate(values)
+        ]
+        ranking = search.ranked(pd.DataFrame(rows))
+        assert list(ranking["setting"]) == ["C", "B", "A"] and list(ranking["score"]) == [4.5, 4.0, 4.0]
+
+    def test_what_is_missing_is_said(self, monkeypatch):
+        flags = ["--", "--learning-rate", "0.25", "--total-timesteps", "20"]
+        assert campaign(monkeypatch, "--seeds", 2, *flags) == 0
+        said = search.search_report(Path("results"))
+        assert "2 runs of 20 timesteps (the paper: 40). The winner: the only variant." in said
+        assert "The paper's choice is not among them. The search is not complete" in said
+
+    def test_nothing_was_searched(self):
+        with pytest.raises(ValueError, match="no results in nowhere"):
+            search.search_report(Path("nowhere"))
