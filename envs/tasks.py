@@ -2,6 +2,7 @@
 
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
+    mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
 
 A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
 form, or raises InputError where it has the form but no game can be played. `PARSERS` lists them.
@@ -53,6 +54,10 @@ PAPER_TASKS = (
     "lbf-15x15-3p-5f",
     "lbf-15x15-4p-3f",
     "lbf-15x15-4p-5f",
+    "mpe-speaker-listener",
+    "mpe-spread",
+    "mpe-adversary",
+    "mpe-tag",
 )
 
 
@@ -136,4 +141,16 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-PARSERS = (parse_matrix, parse_lbf)
+def parse_mpe(name: str) -> Task | None:
+    """The particle environments by the paper's rules (mpe) or those of the package mpe2."""
+    match = re.fullmatch("(mpe2?)-(?:(speaker-listener|spread)|(adversary|tag)(-selfplay)?)", name)
+    if match is None:
+        return None
+    selfplay = match[4] is not None
+    settings = {"scenario": match[2] or match[3], "paper": match[1] == "mpe", "selfplay": selfplay}
+    if selfplay:  # 25,000 episodes, in which the opponents were trained
+        return Task(name, "mpe", 625_000, 625_000, 41, "mpe", settings)
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "mpe", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_mpe)

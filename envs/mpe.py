@@ -1,0 +1,558 @@
+"""The multi-agent particle environments (Lowe et al., 2017; Papoudakis et al., 2021): discs that move in a plane."""
+
+from __future__ import annotations
+
+from math import exp, log1p, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs import vector
+from envs.kernels import WEYL, compiled, episode_state, forbidden_action, mix, random_below, wrapping
+
+EPISODE_LIMIT = 25
+SPEAKER_LISTENER, SPREAD, ADVERSARY, TAG = range(4)
+SPEAKER, LISTENER = 0, 1
+PREY = 3  # the agents before it are predators; in the adversary's scenario agent 0 is the adversary
+
+# The physics
+TIME_STEP = 0.1
+DAMPING = 0.25
+CONTACT_FORCE, CONTACT_MARGIN = 100.0, 0.001
+OCCUPIED = 0.1  # a landmark is occupied by an agent nearer than this
+FAR_APART = 40  # margins between two discs from which on their force, below 1e-18, is left out
+GOAL_COLOUR, OTHER_COLOUR = 0.65, 0.15  # what the speaker sees of the goal and of the other landmarks
+
+
+class State(NamedTuple):
+    """One game per entry of the leading axis. Agents are all that move, those of a built-in opponent too."""
+
+    random: NDArray[np.uint64]  # [env] the generator's state
+    steps: NDArray[np.int64]  # [env]
+    score: NDArray[np.float64]  # [env] the team's return so far
+    agent_position: NDArray[np.float64]  # [env, agent, (x, y)]
+    agent_velocity: NDArray[np.float64]  # [env, agent, (x, y)]
+    landmark_position: NDArray[np.float64]  # [env, landmark, (x, y)]
+    goal: NDArray[np.int64]  # [env] the landmark that is the goal; -1: the scenario has none
+    symbol: NDArray[np.int64]  # [env] what the speaker said in this step; -1: nothing yet
+    force: NDArray[np.float64]  # [env, agent, (x, y)] on each agent in this step
+    own_rewards: NDArray[np.float64]  # [env, agent] of this step
+    opponent_action: NDArray[np.int64]  # [env] what the built-in opponent does in the next step
+    opponent_observation: NDArray[np.float32]  # [env, value] what it sees
+    contacts: NDArray[np.float32]  # [env] pairs of agents that touch, counted in every step of the episode
+    occupied_landmarks: NDArray[np.float32]  # [env] landmarks with an agent on them, at present
+    goal_distance: NDArray[np.float32]  # [env] from the goal to the listener, or to the nearest good agent
+    adversary_distance: NDArray[np.float32]  # [env] from the goal to the adversary
+    observations: NDArray[np.float32]  # [env, learning agent, value]
+    agent_rewards: NDArray[np.float32]  # [env, learning agent]
+    rewards: NDArray[np.float32]  # [env]
+    truncated: NDArray[np.bool_]  # [env]
+
+
+class Config(NamedTuple):
+    """What the name says. The last six are all in which the paper's game and that of the package mpe2 differ."""
+
+    scenario: int
+    opponent: int  # the agent that a built-in opponent steers; -1: none
+    first: int  # the first agent that learns
+    team_first: int  # the first agent of team 0
+    team_size: int
+    radius: NDArray[np.float64]  # [agent]
+    acceleration: NDArray[np.float64]  # [agent]
+    top_speed: NDArray[np.float64]  # [agent]
+    landmark_radius: float
+    landmark_range: float  # landmarks start between minus and plus this
+    velocity_first: bool  # an agent moves with its new velocity, not with the one before the step
+    direction: float  # of actions 1 and 3: 1 towards larger coordinates, -1 towards smaller ones
+    squared: bool  # the adversary's distance counts squared in its own reward
+    summed: bool  # in the scenarios that all agents share, each receives the sum of their rewards
+    self_contact: bool  # in spread each agent also touches itself
+    share: float  # in spread the rewards count this much
+
+
+@wrapping
+@compiled
+def random_between(random, e, low, high):
+    """A uniform number from low to high from the generator of sub-environment e."""
+    random[e] += WEYL
+    return low + (high - low) * (np.float64(mix(random[e]) >> np.uint64(11)) * 2.0**-53)
+
+
+@compiled
+def reset_env(state, config, e):
+    """Place agents and landmarks; choose the goal."""
+    n_agents, n_landmarks = state.agent_position.shape[1], state.landmark_position.shape[1]
+    state.steps[e] = 0
+    state.score[e] = 0
+    state.symbol[e] = -1
+    state.contacts[e] = 0
+    state.goal[e] = -1
+    if config.scenario == SPEAKER_LISTENER or config.scenario == ADVERSARY:
+        state.goal[e] = random_below(state.random, e, n_landmarks)
+    for i in range(n_agents):
+        for x in range(2):
+            state.agent_position[e, i, x] = random_between(state.random, e, -1.0, 1.0)
+            state.agent_velocity[e, i, x] = 0
+    for k in range(n_landmarks):
+        for x in range(2):
+            reach = config.landmark_range
+            state.landmark_position[e, k, x] = random_between(state.random, e, -reach, reach)
+
+
+@compiled
+def distance(a, b, e, i, j):
+    """Between place i of a and place j of b, arrays [env, place, (x, y)]."""
+    dx, dy = a[e, i, 0] - b[e, j, 0], a[e, i, 1] - b[e, j, 1]
+    return sqrt(dx * dx + dy * dy)
+
+
+@compiled
+def touching(state, config, e, i, j):
+    """Whether agents i and j overlap."""
+    reach = config.radius[i] + config.radius[j]
+    return distance(state.agent_position, state.agent_position, e, i, j) < reach
+
+
+@compiled
+def repulsion(dx, dy, reach):
+    """Force on a disc that lies (dx, dy) from another, divided by that distance; reach: the sum of their radii.
+
+    It grows with the depth to which the discs overlap, softly: margin ln(1 + exp(depth / margin)).
+    """
+    square = dx * dx + dy * dy
+    farthest = reach + FAR_APART * CONTACT_MARGIN
+    if square > farthest * farthest or square == 0:  # on the same spot there is no direction to push to
+        return 0.0
+    apart = sqrt(square)
+    depth = (reach - apart) / CONTACT_MARGIN
+    return CONTACT_FORCE * CONTACT_MARGIN * (max(depth, 0.0) + log1p(exp(-abs(depth)))) / apart
+
+
+@compiled
+def move_env(state, config, e):
+    """Add the repulsion of discs that collide to the agents' own forces; then integrate."""
+    position, velocity, force, landmark = (
+        state.agent_position,
+        state.agent_velocity,
+        state.force,
+        state.landmark_position,
+    )
+    n_agents, n_landmarks = position.shape[1], landmark.shape[1]
+    if config.scenario == SPREAD or config.scenario == TAG:
+        for i in range(n_agents):
+            for j in range(i):
+                dx, dy = position[e, i, 0] - position[e, j, 0], position[e, i, 1] - position[e, j, 1]
+                push = repulsion(dx, dy, config.radius[i] + config.radius[j])
+                force[e, i, 0] += push * dx
+                force[e, i, 1] += push * dy
+                force[e, j, 0] -= push * dx
+                force[e, j, 1] -= push * dy
+    if config.scenario == TAG:
+        for i in range(n_agents):
+            for k in range(n_landmarks):
+                dx, dy = position[e, i, 0] - landmark[e, k, 0], position[e, i, 1] - landmark[e, k, 1]
+                push = repulsion(dx, dy, config.radius[i] + config.landmark_radius)
+                force[e, i, 0] += push * dx
+                force[e, i, 1] += push * dy
+
+    for i in range(n_agents):
+        x, y = velocity[e, i, 0], velocity[e, i, 1]
+        if not config.velocity_first:
+            position[e, i, 0] += x * TIME_STEP
+            position[e, i, 1] += y * TIME_STEP
+        x = (1 - DAMPING) * x + TIME_STEP * force[e, i, 0]
+        y = (1 - DAMPING) * y + TIME_STEP * force[e, i, 1]
+        speed = sqrt(x * x + y * y)
+        if speed > config.top_speed[i]:
+            x *= config.top_speed[i] / speed
+            y *= config.top_speed[i] / speed
+        velocity[e, i, 0] = x
+        velocity[e, i, 1] = y
+        if config.velocity_first:
+            position[e, i, 0] += x * TIME_STEP
+            position[e, i, 1] += y * TIME_STEP
+
+
+@compiled
+def reward_speaker_listener(state, config, e):
+    """Minus the listener's squared distance to the goal, for both."""
+    apart = distance(state.agent_position, state.landmark_position, e, LISTENER, state.goal[e])
+    state.goal_distance[e] = apart
+    state.own_rewards[e, SPEAKER] = -apart * apart
+    state.own_rewards[e, LISTENER] = -apart * apart
+
+
+@compiled
+def reward_spread(state, config, e):
+    """Minus every landmark's distance to its nearest agent, minus one for each contact of the agent."""
+    position, landmark = state.agent_position, state.landmark_position
+    n_agents, n_landmarks = position.shape[1], landmark.shape[1]
+    uncovered = 0.0
+    occupied = 0
+    for k in range(n_landmarks):
+        nearest = distance(position, landmark, e, 0, k)
+        for i in range(1, n_agents):
+            nearest = min(nearest, distance(position, landmark, e, i, k))
+        uncovered += nearest
+        occupied += nearest < OCCUPIED
+    state.occupied_landmarks[e] = occupied
+    for i in range(n_agents):
+        state.own_rewards[e, i] = -uncovered - config.self_contact
+    for i in range(n_agents):
+        for j in range(i):
+            if touching(state, config, e, i, j):
+                state.contacts[e] += 1
+                state.own_rewards[e, i] -= 1
+                state.own_rewards[e, j] -= 1
+    for i in range(n_agents):
+        state.own_rewards[e, i] *= config.share
+
+
+@compiled
+def reward_adversary(state, config, e):
+    """Good agents: the adversary's distance to the goal minus that of the nearest of them. Adversary: minus its own."""
+    position, landmark, goal = state.agent_position, state.landmark_position, state.goal[e]
+    n_agents = position.shape[1]
+    theirs = distance(position, landmark, e, 0, goal)
+    nearest = distance(position, landmark, e, 1, goal)
+    for i in range(2, n_agents):
+        nearest = min(nearest, distance(position, landmark, e, i, goal))
+    state.adversary_distance[e] = theirs
+    state.goal_distance[e] = nearest
+    state.own_rewards[e, 0] = -theirs * theirs if config.squared else -theirs
+    for i in range(1, n_agents):
+        state.own_rewards[e, i] = theirs - nearest
+
+
+@compiled
+def reward_tag(state, config, e):
+    """Each predator: 10 for every predator that touches the prey. Prey: minus that, and a penalty for running away."""
+    caught = 0
+    for i in range(PREY):
+        caught += touching(state, config, e, i, PREY)
+    state.contacts[e] += caught
+    for i in range(PREY):
+        state.own_rewards[e, i] = 10 * caught
+    state.own_rewards[e, PREY] = -10 * caught
+    for x in range(2):
+        away = abs(state.agent_position[e, PREY, x])
+        if away >= 1:
+            state.own_rewards[e, PREY] -= min(exp(2 * away - 2), 10.0)
+        elif away >= 0.9:
+            state.own_rewards[e, PREY] -= 10 * (away - 0.9)
+
+
+@compiled
+def step_env(state, config, e, actions):
+    """Let all agents act; move them; give rewards."""
+    n_agents, n_learning = state.agent_position.shape[1], state.agent_rewards.shape[1]
+    state.steps[e] += 1
+    for i in range(n_agents):
+        if i == config.opponent:
+            action, push = state.opponent_action[e], config.acceleration[i]  # in the directions it was trained with
+        else:
+            action, push = actions[e, i - config.first], config.acceleration[i] * config.direction
+        state.force[e, i, 0] = push * ((action == 1) - (action == 2))
+        state.force[e, i, 1] = push * ((action == 3) - (action == 4))
+        if config.scenario == SPEAKER_LISTENER and i == SPEAKER:
+            state.symbol[e] = action
+    move_env(state, config, e)
+
+    if config.scenario == SPEAKER_LISTENER:
+        reward_speaker_listener(state, config, e)
+    elif config.scenario == SPREAD:
+        reward_spread(state, config, e)
+    elif config.scenario == ADVERSARY:
+        reward_adversary(state, config, e)
+    else:
+        reward_tag(state, config, e)
+    if config.summed and (config.scenario == SPEAKER_LISTENER or config.scenario == SPREAD):
+        total = 0.0
+        for i in range(n_agents):
+            total += state.own_rewards[e, i]
+        for i in range(n_agents):
+            state.own_rewards[e, i] = total
+
+    for i in range(n_learning):
+        state.agent_rewards[e, i] = state.own_rewards[e, config.first + i]
+    team_reward = 0.0
+    for i in range(config.team_first, config.team_first + config.team_size):
+        team_reward += state.own_rewards[e, i] / config.team_size
+    state.rewards[e] = team_reward
+    state.score[e] += team_reward
+    state.truncated[e] = state.steps[e] == EPISODE_LIMIT
+
+
+@compiled
+def observe_agent(state, config, e, i, values):
+    """Write what agent i sees into values; what follows stays zero."""
+    position, velocity, landmark = state.agent_position, state.agent_velocity, state.landmark_position
+    n_agents, n_landmarks = position.shape[1], landmark.shape[1]
+    scenario, goal = config.scenario, state.goal[e]
+    if scenario == SPEAKER_LISTENER and i == SPEAKER:
+        for k in range(n_landmarks):
+            values[k] = GOAL_COLOUR if k == goal else OTHER_COLOUR
+        return
+    x, y = position[e, i, 0], position[e, i, 1]
+    n = 0
+    if scenario != ADVERSARY:
+        values[n] = velocity[e, i, 0]
+        values[n + 1] = velocity[e, i, 1]
+        n += 2
+    if scenario == SPREAD or scenario == TAG:
+        values[n] = x
+        values[n + 1] = y
+        n += 2
+    if scenario == ADVERSARY and i > 0:
+        values[n] = landmark[e, goal, 0] - x
+        values[n + 1] = landmark[e, goal, 1] - y
+        n += 2
+    for k in range(n_landmarks):
+        values[n] = landmark[e, k, 0] - x
+        values[n + 1] = landmark[e, k, 1] - y
+        n += 2
+    if scenario == SPEAKER_LISTENER:
+        for k in range(3):
+            values[n + k] = state.symbol[e] == k
+        return
+    for j in range(n_agents):
+        if j != i:
+            values[n] = position[e, j, 0] - x
+            values[n + 1] = position[e, j, 1] - y
+            n += 2
+    if scenario == TAG and i != PREY:
+        values[n] = velocity[e, PREY, 0]
+        values[n + 1] = velocity[e, PREY, 1]
+
+
+@compiled
+def observe_env(state, config, e):
+    """Write what each agent sees."""
+    for i in range(state.agent_position.shape[1]):
+        mine = state.opponent_observation[e] if i == config.opponent else state.observations[e, i - config.first]
+        observe_agent(state, config, e, i, mine)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The loops take the fields of State and Config one by one: a NamedTuple costs microseconds at the border to Python.
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def reset_all(
+    random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
+    opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+    observations, agent_rewards, rewards, truncated,
+    scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
+    velocity_first, direction, squared, summed, self_contact, share,
+    mask, seed, episodes,
+):  # fmt: skip
+    state = State(
+        random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
+        opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+        observations, agent_rewards, rewards, truncated,
+    )  # fmt: skip
+    config = Config(
+        scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius,
+        landmark_range, velocity_first, direction, squared, summed, self_contact, share,
+    )  # fmt: skip
+    for e in range(len(mask)):
+        if mask[e]:
+            random[e] = episode_state(seed, e, episodes[e])
+            reset_env(state, config, e)
+            observe_env(state, config, e)
+
+
+@compiled
+def step_all(
+    random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
+    opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+    observations, agent_rewards, rewards, truncated,
+    scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
+    velocity_first, direction, squared, summed, self_contact, share,
+    action_mask, actions,
+):  # fmt: skip
+    refused = forbidden_action(actions, action_mask)
+    if refused >= 0:
+        return refused
+    state = State(
+        random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
+        opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+        observations, agent_rewards, rewards, truncated,
+    )  # fmt: skip
+    config = Config(
+        scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius,
+        landmark_range, velocity_first, direction, squared, summed, self_contact, share,
+    )  # fmt: skip
+    for e in range(len(rewards)):
+        if truncated[e]:
+            agent_rewards[e, :] = 0
+            rewards[e] = 0
+        else:
+            step_env(state, config, e, actions)
+            observe_env(state, config, e)
+    return -1
+
+
+class Scenario(NamedTuple):
+    """What an environment is built from: one of the four games, the same in both packages."""
+
+    number: int
+    landmarks: int
+    obs_size: int  # of the agent that sees most
+    n_actions: tuple[int, ...]  # [agent]
+    teams: tuple[int, ...]  # [agent]
+    radius: tuple[float, ...]  # [agent]
+    acceleration: tuple[float, ...]  # [agent]; 0: it cannot move
+    top_speed: tuple[float, ...]  # [agent]
+    landmark_radius: float
+    landmark_range: float
+    statistics: tuple[str, ...]
+
+
+SCENARIOS = {
+    "speaker-listener": Scenario(
+        number=SPEAKER_LISTENER,
+        landmarks=3,
+        obs_size=11,
+        n_actions=(3, 5),
+        teams=(0, 0),
+        radius=(0.075, 0.075),
+        acceleration=(0.0, 5.0),
+        top_speed=(np.inf, np.inf),
+        landmark_radius=0.04,
+        landmark_range=1.0,
+        statistics=("goal_distance",),
+    ),
+    "spread": Scenario(
+        number=SPREAD,
+        landmarks=3,
+        obs_size=18,
+        n_actions=(5, 5, 5),
+        teams=(0, 0, 0),
+        radius=(0.15, 0.15, 0.15),
+        acceleration=(5.0, 5.0, 5.0),
+        top_speed=(np.inf, np.inf, np.inf),
+        landmark_radius=0.05,
+        landmark_range=1.0,
+        statistics=("contacts", "occupied_landmarks"),
+    ),
+    "adversary": Scenario(
+        number=ADVERSARY,
+        landmarks=2,
+        obs_size=10,
+        n_actions=(5, 5, 5),
+        teams=(1, 0, 0),
+        radius=(0.15, 0.15, 0.15),
+        acceleration=(5.0, 5.0, 5.0),
+        top_speed=(np.inf, np.inf, np.inf),
+        landmark_radius=0.08,
+        landmark_range=1.0,
+        statistics=("goal_distance", "adversary_distance"),
+    ),
+    "tag": Scenario(
+        number=TAG,
+        landmarks=2,
+        obs_size=16,
+        n_actions=(5, 5, 5, 5),
+        teams=(0, 0, 0, 1),
+        radius=(0.075, 0.075, 0.075, 0.05),
+        acceleration=(3.0, 3.0, 3.0, 4.0),
+        top_speed=(1.0, 1.0, 1.0, 1.3),
+        landmark_radius=0.2,
+        landmark_range=0.9,
+        statistics=("contacts",),
+    ),
+}
+PAPER: dict[str, Any] = {
+    "velocity_first": True,
+    "direction": 1.0,
+    "squared": True,
+    "summed": True,
+    "self_contact": True,
+    "share": 1.0,
+}
+MPE2: dict[str, Any] = {
+    "velocity_first": False,
+    "direction": -1.0,
+    "squared": False,
+    "summed": False,
+    "self_contact": False,
+    "share": 0.5,
+}
+
+
+class Env(vector.VectorEnv):
+    """The particle environments; see the module's docstring."""
+
+    def __init__(
+        self, name: str, num_envs: int, seed: int, copy: bool, *, scenario: str, paper: bool, selfplay: bool
+    ) -> None:
+        """paper: the paper's game, else mpe2's. selfplay: the agents of team 1 learn too."""
+        game = SCENARIOS[scenario]
+        n_agents, team = len(game.teams), [i for i, number in enumerate(game.teams) if number == 0]
+        alone = selfplay or 1 not in game.teams
+        learning = range(n_agents) if alone else range(team[0], team[-1] + 1)
+        super().__init__(
+            name,
+            num_envs,
+            seed,
+            copy,
+            n_agents=len(learning),
+            n_actions=5,
+            obs_size=game.obs_size,
+            episode_limit=EPISODE_LIMIT,
+            low=-np.inf,
+            high=np.inf,
+            statistics=game.statistics,
+            teams=[game.teams[i] for i in learning],
+        )
+        for i, agent in enumerate(learning):
+            self.action_mask[:, i, game.n_actions[agent] :] = False
+        unused = np.zeros(num_envs, np.float32)
+        self.game = State(
+            random=np.zeros(num_envs, np.uint64),
+            steps=np.zeros(num_envs, np.int64),
+            score=np.zeros(num_envs),
+            agent_position=np.zeros((num_envs, n_agents, 2)),
+            agent_velocity=np.zeros((num_envs, n_agents, 2)),
+            landmark_position=np.zeros((num_envs, game.landmarks, 2)),
+            goal=np.zeros(num_envs, np.int64),
+            symbol=np.zeros(num_envs, np.int64),
+            force=np.zeros((num_envs, n_agents, 2)),
+            own_rewards=np.zeros((num_envs, n_agents)),
+            opponent_action=np.zeros(num_envs, np.int64),
+            opponent_observation=np.zeros((num_envs, game.obs_size), np.float32),
+            contacts=self.statistics.get("contacts", unused),
+            occupied_landmarks=self.statistics.get("occupied_landmarks", unused),
+            goal_distance=self.statistics.get("goal_distance", unused),
+            adversary_distance=self.statistics.get("adversary_distance", unused),
+            observations=self.observations,
+            agent_rewards=self.agent_rewards,
+            rewards=self.rewards,
+            truncated=self.truncated,
+        )
+        self.config = Config(
+            scenario=game.number,
+            opponent=-1 if alone else game.teams.index(1),
+            first=learning[0],
+            team_first=team[0],
+            team_size=len(team),
+            radius=np.array(game.radius),
+            acceleration=np.array(game.acceleration),
+            top_speed=np.array(game.top_speed),
+            landmark_radius=game.landmark_radius,
+            landmark_range=game.landmark_range,
+            **(PAPER if paper else MPE2),
+        )
+        self._arguments = (*self.game, *self.config)
+        self._step_arguments = (*self._arguments, self.action_mask)
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """See `VectorEnv`."""
+        reset_all(*self._arguments, mask, seed, episodes)
+
+    def step_envs(self, actions: NDArray[np.int64]) -> int:
+        """See `VectorEnv`."""
+        return step_all(*self._step_arguments, actions)
