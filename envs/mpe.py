@@ -39,7 +39,7 @@ class State(NamedTuple):
     force: NDArray[np.float64]  # [env, agent, (x, y)] on each agent in this step
     own_rewards: NDArray[np.float64]  # [env, agent] of this step
     opponent_action: NDArray[np.int64]  # [env] what the built-in opponent does in the next step
-    opponent_observation: NDArray[np.float32]  # [env, value] what it sees
+    views: NDArray[np.float32]  # [env, agent, value] what each agent sees; if all learn, these are the observations
     contacts: NDArray[np.float32]  # [env] pairs of agents that touch, counted in every step of the episode
     occupied_landmarks: NDArray[np.float32]  # [env] landmarks with an agent on them, at present
     goal_distance: NDArray[np.float32]  # [env] from the goal to the listener, or to the nearest good agent
@@ -108,13 +108,6 @@ def distance(a, b, e, i, j):
 
 
 @compiled
-def touching(state, config, e, i, j):
-    """Whether agents i and j overlap."""
-    reach = config.radius[i] + config.radius[j]
-    return distance(state.agent_position, state.agent_position, e, i, j) < reach
-
-
-@compiled
 def repulsion(dx, dy, reach):
     """Force on a disc that lies (dx, dy) from another, divided by that distance; reach: the sum of their radii.
 
@@ -177,70 +170,75 @@ def move_env(state, config, e):
 @compiled
 def reward_speaker_listener(state, config, e):
     """Minus the listener's squared distance to the goal, for both."""
-    apart = distance(state.agent_position, state.landmark_position, e, LISTENER, state.goal[e])
+    listener = state.agent_position.shape[1] - 1
+    apart = distance(state.agent_position, state.landmark_position, e, listener, state.goal[e])
     state.goal_distance[e] = apart
-    state.own_rewards[e, SPEAKER] = -apart * apart
-    state.own_rewards[e, LISTENER] = -apart * apart
+    for i in range(listener + 1):
+        state.own_rewards[e, i] = -apart * apart
 
 
 @compiled
 def reward_spread(state, config, e):
     """Minus every landmark's distance to its nearest agent, minus one for each contact of the agent."""
-    position, landmark = state.agent_position, state.landmark_position
+    position, landmark, own = state.agent_position, state.landmark_position, state.own_rewards
     n_agents, n_landmarks = position.shape[1], landmark.shape[1]
     uncovered = 0.0
     occupied = 0
     for k in range(n_landmarks):
-        nearest = distance(position, landmark, e, 0, k)
-        for i in range(1, n_agents):
+        nearest = np.inf
+        for i in range(n_agents):
             nearest = min(nearest, distance(position, landmark, e, i, k))
         uncovered += nearest
         occupied += nearest < OCCUPIED
     state.occupied_landmarks[e] = occupied
     for i in range(n_agents):
-        state.own_rewards[e, i] = -uncovered - config.self_contact
-    for i in range(n_agents):
+        own[e, i] = -uncovered - config.self_contact
         for j in range(i):
-            if touching(state, config, e, i, j):
+            if distance(position, position, e, i, j) < config.radius[i] + config.radius[j]:
                 state.contacts[e] += 1
-                state.own_rewards[e, i] -= 1
-                state.own_rewards[e, j] -= 1
+                own[e, i] -= 1
+                own[e, j] -= 1
     for i in range(n_agents):
-        state.own_rewards[e, i] *= config.share
+        own[e, i] *= config.share
 
 
 @compiled
 def reward_adversary(state, config, e):
     """Good agents: the adversary's distance to the goal minus that of the nearest of them. Adversary: minus its own."""
-    position, landmark, goal = state.agent_position, state.landmark_position, state.goal[e]
-    n_agents = position.shape[1]
-    theirs = distance(position, landmark, e, 0, goal)
-    nearest = distance(position, landmark, e, 1, goal)
-    for i in range(2, n_agents):
-        nearest = min(nearest, distance(position, landmark, e, i, goal))
+    n_agents, own = state.agent_position.shape[1], state.own_rewards
+    theirs = 0.0
+    nearest = np.inf
+    for i in range(n_agents):
+        apart = distance(state.agent_position, state.landmark_position, e, i, state.goal[e])
+        if i == 0:
+            theirs = apart
+        else:
+            nearest = min(nearest, apart)
     state.adversary_distance[e] = theirs
     state.goal_distance[e] = nearest
-    state.own_rewards[e, 0] = -theirs * theirs if config.squared else -theirs
+    own[e, 0] = -theirs * theirs if config.squared else -theirs
     for i in range(1, n_agents):
-        state.own_rewards[e, i] = theirs - nearest
+        own[e, i] = theirs - nearest
 
 
 @compiled
 def reward_tag(state, config, e):
     """Each predator: 10 for every predator that touches the prey. Prey: minus that, and a penalty for running away."""
+    position, own = state.agent_position, state.own_rewards
+    prey = position.shape[1] - 1
     caught = 0
-    for i in range(PREY):
-        caught += touching(state, config, e, i, PREY)
+    for i in range(prey):
+        caught += distance(position, position, e, i, prey) < config.radius[i] + config.radius[prey]
     state.contacts[e] += caught
-    for i in range(PREY):
-        state.own_rewards[e, i] = 10 * caught
-    state.own_rewards[e, PREY] = -10 * caught
+    for i in range(prey):
+        own[e, i] = 10 * caught
+    own[e, prey] = -10 * caught
     for x in range(2):
-        away = abs(state.agent_position[e, PREY, x])
+        away = abs(position[e, prey, x])
         if away >= 1:
-            state.own_rewards[e, PREY] -= min(exp(2 * away - 2), 10.0)
+            own[e, prey] -= min(exp(2 * away - 2), 10.0)
         elif away >= 0.9:
-            state.own_rewards[e, PREY] -= 10 * (away - 0.9)
+            own[e, prey] -= 10 * (away - 0.9)
 
 
 @compiled
@@ -285,53 +283,55 @@ def step_env(state, config, e, actions):
 
 
 @compiled
-def observe_agent(state, config, e, i, values):
-    """Write what agent i sees into values; what follows stays zero."""
-    position, velocity, landmark = state.agent_position, state.agent_velocity, state.landmark_position
-    n_agents, n_landmarks = position.shape[1], landmark.shape[1]
-    scenario, goal = config.scenario, state.goal[e]
-    if scenario == SPEAKER_LISTENER and i == SPEAKER:
-        for k in range(n_landmarks):
-            values[k] = GOAL_COLOUR if k == goal else OTHER_COLOUR
-        return
-    x, y = position[e, i, 0], position[e, i, 1]
-    n = 0
-    if scenario != ADVERSARY:
-        values[n] = velocity[e, i, 0]
-        values[n + 1] = velocity[e, i, 1]
-        n += 2
-    if scenario == SPREAD or scenario == TAG:
-        values[n] = x
-        values[n + 1] = y
-        n += 2
-    if scenario == ADVERSARY and i > 0:
-        values[n] = landmark[e, goal, 0] - x
-        values[n + 1] = landmark[e, goal, 1] - y
-        n += 2
-    for k in range(n_landmarks):
-        values[n] = landmark[e, k, 0] - x
-        values[n + 1] = landmark[e, k, 1] - y
-        n += 2
-    if scenario == SPEAKER_LISTENER:
-        for k in range(3):
-            values[n + k] = state.symbol[e] == k
-        return
-    for j in range(n_agents):
-        if j != i:
-            values[n] = position[e, j, 0] - x
-            values[n + 1] = position[e, j, 1] - y
-            n += 2
-    if scenario == TAG and i != PREY:
-        values[n] = velocity[e, PREY, 0]
-        values[n + 1] = velocity[e, PREY, 1]
-
-
-@compiled
 def observe_env(state, config, e):
-    """Write what each agent sees."""
-    for i in range(state.agent_position.shape[1]):
-        mine = state.opponent_observation[e] if i == config.opponent else state.observations[e, i - config.first]
-        observe_agent(state, config, e, i, mine)
+    """Write what each agent sees; values that it does not have stay zero."""
+    views, position, velocity, landmark = (
+        state.views,
+        state.agent_position,
+        state.agent_velocity,
+        state.landmark_position,
+    )
+    scenario, goal = config.scenario, state.goal[e]
+    n_agents, n_landmarks = position.shape[1], landmark.shape[1]
+    for i in range(n_agents):
+        if scenario == SPEAKER_LISTENER and i == SPEAKER:
+            for k in range(n_landmarks):
+                views[e, i, k] = GOAL_COLOUR if k == goal else OTHER_COLOUR
+            continue
+        x, y = position[e, i, 0], position[e, i, 1]
+        n = 0
+        if scenario != ADVERSARY:
+            views[e, i, 0] = velocity[e, i, 0]
+            views[e, i, 1] = velocity[e, i, 1]
+            n = 2
+        elif i > 0:
+            views[e, i, 0] = landmark[e, goal, 0] - x
+            views[e, i, 1] = landmark[e, goal, 1] - y
+            n = 2
+        if scenario == SPREAD or scenario == TAG:
+            views[e, i, 2] = x
+            views[e, i, 3] = y
+            n = 4
+        for k in range(n_landmarks):
+            views[e, i, n] = landmark[e, k, 0] - x
+            views[e, i, n + 1] = landmark[e, k, 1] - y
+            n += 2
+        if scenario == SPEAKER_LISTENER:
+            for k in range(n_landmarks):
+                views[e, i, n + k] = state.symbol[e] == k
+            continue
+        for j in range(n_agents):
+            if j != i:
+                views[e, i, n] = position[e, j, 0] - x
+                views[e, i, n + 1] = position[e, j, 1] - y
+                n += 2
+        if scenario == TAG and i != PREY:
+            views[e, i, n] = velocity[e, PREY, 0]
+            views[e, i, n + 1] = velocity[e, PREY, 1]
+    if config.opponent >= 0:
+        for i in range(state.observations.shape[1]):
+            for n in range(state.observations.shape[2]):
+                state.observations[e, i, n] = views[e, config.first + i, n]
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -342,7 +342,7 @@ def observe_env(state, config, e):
 @compiled
 def reset_all(
     random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-    opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+    opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
     observations, agent_rewards, rewards, truncated,
     scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
     velocity_first, direction, squared, summed, self_contact, share,
@@ -350,7 +350,7 @@ def reset_all(
 ):  # fmt: skip
     state = State(
         random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-        opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+        opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
         observations, agent_rewards, rewards, truncated,
     )  # fmt: skip
     config = Config(
@@ -367,7 +367,7 @@ def reset_all(
 @compiled
 def step_all(
     random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-    opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+    opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
     observations, agent_rewards, rewards, truncated,
     scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
     velocity_first, direction, squared, summed, self_contact, share,
@@ -378,7 +378,7 @@ def step_all(
         return refused
     state = State(
         random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-        opponent_action, opponent_observation, contacts, occupied_landmarks, goal_distance, adversary_distance,
+        opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
         observations, agent_rewards, rewards, truncated,
     )  # fmt: skip
     config = Config(
@@ -523,7 +523,7 @@ class Env(vector.VectorEnv):
             force=np.zeros((num_envs, n_agents, 2)),
             own_rewards=np.zeros((num_envs, n_agents)),
             opponent_action=np.zeros(num_envs, np.int64),
-            opponent_observation=np.zeros((num_envs, game.obs_size), np.float32),
+            views=self.observations if alone else np.zeros((num_envs, n_agents, game.obs_size), np.float32),
             contacts=self.statistics.get("contacts", unused),
             occupied_landmarks=self.statistics.get("occupied_landmarks", unused),
             goal_distance=self.statistics.get("goal_distance", unused),
