@@ -123,6 +123,22 @@ def repulsion(dx, dy, reach):
 
 
 @compiled
+def act_env(state, config, e, actions):
+    """Let all agents act: a force on each, and the speaker's symbol."""
+    state.steps[e] += 1
+    state.truncated[e] = state.steps[e] == EPISODE_LIMIT
+    for i in range(state.agent_position.shape[1]):
+        if i == config.opponent:
+            action, push = state.opponent_action[e], config.acceleration[i]  # in the directions it was trained with
+        else:
+            action, push = actions[e, i - config.first], config.acceleration[i] * config.direction
+        state.force[e, i, 0] = push * ((action == 1) - (action == 2))
+        state.force[e, i, 1] = push * ((action == 3) - (action == 4))
+        if config.scenario == SPEAKER_LISTENER and i == SPEAKER:
+            state.symbol[e] = action
+
+
+@compiled
 def move_env(state, config, e):
     """Add the repulsion of discs that collide to the agents' own forces; then integrate."""
     position, velocity, force, landmark = (
@@ -242,21 +258,9 @@ def reward_tag(state, config, e):
 
 
 @compiled
-def step_env(state, config, e, actions):
-    """Let all agents act; move them; give rewards."""
-    n_agents, n_learning = state.agent_position.shape[1], state.agent_rewards.shape[1]
-    state.steps[e] += 1
-    for i in range(n_agents):
-        if i == config.opponent:
-            action, push = state.opponent_action[e], config.acceleration[i]  # in the directions it was trained with
-        else:
-            action, push = actions[e, i - config.first], config.acceleration[i] * config.direction
-        state.force[e, i, 0] = push * ((action == 1) - (action == 2))
-        state.force[e, i, 1] = push * ((action == 3) - (action == 4))
-        if config.scenario == SPEAKER_LISTENER and i == SPEAKER:
-            state.symbol[e] = action
-    move_env(state, config, e)
-
+def reward_env(state, config, e):
+    """Each agent's reward, and the team's: the mean over team 0."""
+    n_agents, n_learning, own = state.own_rewards.shape[1], state.agent_rewards.shape[1], state.own_rewards
     if config.scenario == SPEAKER_LISTENER:
         reward_speaker_listener(state, config, e)
     elif config.scenario == SPREAD:
@@ -268,18 +272,16 @@ def step_env(state, config, e, actions):
     if config.summed and (config.scenario == SPEAKER_LISTENER or config.scenario == SPREAD):
         total = 0.0
         for i in range(n_agents):
-            total += state.own_rewards[e, i]
+            total += own[e, i]
         for i in range(n_agents):
-            state.own_rewards[e, i] = total
-
+            own[e, i] = total
     for i in range(n_learning):
-        state.agent_rewards[e, i] = state.own_rewards[e, config.first + i]
+        state.agent_rewards[e, i] = own[e, config.first + i]
     team_reward = 0.0
     for i in range(config.team_first, config.team_first + config.team_size):
-        team_reward += state.own_rewards[e, i] / config.team_size
+        team_reward += own[e, i] / config.team_size
     state.rewards[e] = team_reward
     state.score[e] += team_reward
-    state.truncated[e] = state.steps[e] == EPISODE_LIMIT
 
 
 @compiled
@@ -390,7 +392,9 @@ def step_all(
             agent_rewards[e, :] = 0
             rewards[e] = 0
         else:
-            step_env(state, config, e, actions)
+            act_env(state, config, e, actions)
+            move_env(state, config, e)
+            reward_env(state, config, e)
             observe_env(state, config, e)
     return -1
 
