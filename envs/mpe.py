@@ -1,8 +1,70 @@
-"""The multi-agent particle environments (Lowe et al., 2017; Papoudakis et al., 2021): discs that move in a plane."""
+"""The multi-agent particle environments (Lowe et al., 2017; Papoudakis et al., 2021): discs that move in a plane.
+
+    mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]       the paper's game
+    mpe2-speaker-listener  ...                                                           that of the package mpe2
+
+Speaker-Listener  The speaker (agent 0) sees which of three landmarks is the goal and says one of three symbols; the
+                  listener (agent 1) hears it and should go there.
+Spread            Three agents should cover three landmarks without touching each other.
+Adversary         Two good agents (1 and 2) know which of two landmarks is the goal and want to be near it. The
+                  adversary (0) wants so too, does not know which it is, and watches them.
+Tag               Three predators (0 to 2) chase a prey (3), which is faster. Two large landmarks stand in the way.
+
+In Adversary and Tag the agents learn that the paper's tasks control, the good agents or the predators, numbered from 0;
+the adversary and the prey are built-in opponents. With -selfplay all agents learn, in the order above: the good agents
+and the predators are team 0, the adversary and the prey team 1.
+
+Actions: 0 nothing; 1 and 2 a force along x, to the right and to the left; 3 and 4 along y, up and down. In mpe2-...
+1 and 2 change places, and so do 3 and 4. The speaker does not move: its actions 0, 1, 2 are the symbols, and the mask
+forbids 3 and 4. Everything else is always allowed.
+
+Motion, with time steps of 0.1: a force F changes a velocity v to 0.75 v + 0.1 F, cut to the agent's top speed; then the
+agent moves by 0.1 v. (In mpe2-... it moves first, with its old velocity.) Acting is a force of 5; in Tag it is 3 for
+predators, whose top speed is 1, and 4 for the prey, whose top speed is 1.3. The agents of Spread and Tag push each
+other away, and so do the landmarks of Tag: with 100 times the depth to which two discs overlap, softened at the edge.
+Two discs touch where their centres are nearer than the sum of their radii. The plane has no border.
+    radius of an agent      0.15 in Spread and Adversary, 0.075 in Speaker-Listener and of predators, 0.05 of the prey
+    radius of a landmark    0.05 in Spread, 0.08 in Adversary, 0.04 in Speaker-Listener, 0.2 in Tag
+
+Observations; "where" is (x, y) seen from the agent, velocities and positions are (x, y) too, and other agents come in
+their order. Shorter ones are filled up with zeros. State: the observations of all learning agents, one after the other.
+    speaker     for each landmark: 0.65 if it is the goal, else 0.15                                         3 values
+    listener    velocity; where the landmarks are; the symbol said in the last step, one-hot (zeros
+                before the first)                                                                           11
+    Spread      velocity; position; where the landmarks are; where the others are; four zeros               18
+    good agent  where the goal is; where the landmarks are; where the others are                            10
+    adversary   where the landmarks are; where the others are                                                8
+    predator    velocity; position; where the landmarks are; where the others are; the prey's velocity      16
+    prey        velocity; position; where the landmarks are; where the others are                           14
+
+Rewards of a step, d being a distance after it; the team's reward is the mean over team 0.
+    Speaker-Listener    - 2 d(listener, goal)^2 for both: each agent's - d^2, summed over the agents
+    Spread              for each agent the sum over the agents of - D - 1 - (its contacts); D: sum over the landmarks of
+                        the distance to the nearest agent; the 1 is the contact with itself in the paper's code
+    Adversary           good agents d(adversary, goal) - d(nearest good agent, goal); adversary - d(adversary, goal)^2
+    Tag                 each predator 10 for every predator that touches the prey; the prey minus this, and minus a
+                        penalty for each coordinate x: 10 (|x| - 0.9) from 0.9 on, from 1 on exp(2 |x| - 2), at most 10
+    mpe2-...            Speaker-Listener - d^2; Spread for each agent (- D - its contacts) / 2; adversary - d
+End: step 25, a truncation.
+
+Start: nothing moves; agents and landmarks are uniform in the square from -1 to 1, the landmarks of Tag in that from
+-0.9 to 0.9; every landmark is equally likely to be the goal.
+
+Statistics: goal_distance, of the listener or of the nearest good agent, and adversary_distance, from the goal to the
+adversary, both at the end; occupied_landmarks, those with an agent within 0.1 at the end; contacts, the pairs of agents
+(in Tag: predators with the prey) that touch, added up over the steps.
+
+Opponents: networks that benchmark/train_opponents.py has trained with the learning team in the paper's -selfplay task
+and that always take the most probable action. Like every agent, an opponent decides before it knows what the others do
+in the same step: it acts on the observation that the last step (or the reset) has left. mpe2-... has the same
+opponents, their moves translated. The files opponents/*.json say where they come from.
+"""
 
 from __future__ import annotations
 
+import os
 from math import exp, log1p, sqrt
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +74,7 @@ from envs import vector
 from envs.kernels import WEYL, compiled, episode_state, forbidden_action, mix, random_below, wrapping
 
 EPISODE_LIMIT = 25
+OPPONENTS = Path(__file__).parent / "opponents"
 SPEAKER_LISTENER, SPREAD, ADVERSARY, TAG = range(4)
 SPEAKER, LISTENER = 0, 1
 PREY = 3  # the agents before it are predators; in the adversary's scenario agent 0 is the adversary
@@ -23,6 +86,9 @@ CONTACT_FORCE, CONTACT_MARGIN = 100.0, 0.001
 OCCUPIED = 0.1  # a landmark is occupied by an agent nearer than this
 FAR_APART = 40  # margins between two discs from which on their force, below 1e-18, is left out
 GOAL_COLOUR, OTHER_COLOUR = 0.65, 0.15  # what the speaker sees of the goal and of the other landmarks
+
+# Colours of a frame
+CALM, GOAL, TOUCH = (165, 163, 156), (60, 165, 85), (205, 45, 55)  # landmarks, the goal, agents that touch
 
 
 class State(NamedTuple):
@@ -310,7 +376,7 @@ def observe_env(state, config, e):
             views[e, i, 0] = landmark[e, goal, 0] - x
             views[e, i, 1] = landmark[e, goal, 1] - y
             n = 2
-        if scenario == SPREAD or scenario == TAG:
+        if scenario in (SPREAD, TAG):
             views[e, i, 2] = x
             views[e, i, 3] = y
             n = 4
@@ -397,6 +463,98 @@ def step_all(
             reward_env(state, config, e)
             observe_env(state, config, e)
     return -1
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Built-in opponents
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class Network(NamedTuple):
+    """An opponent: Linear - ReLU - GRU - Linear, as algos/maddpg.py trains it; float32.
+
+    Weights are [input, output]. The GRU's three gates (reset, update, new) stand side by side, as PyTorch has them.
+    """
+
+    first_weight: NDArray[np.float32]  # [value, hidden]
+    first_bias: NDArray[np.float32]
+    input_weight: NDArray[np.float32]  # [hidden, 3 hidden]
+    input_bias: NDArray[np.float32]
+    memory_weight: NDArray[np.float32]  # [hidden, 3 hidden]
+    memory_bias: NDArray[np.float32]
+    last_weight: NDArray[np.float32]  # [hidden, action]
+    last_bias: NDArray[np.float32]
+
+
+def read_network(path: str | os.PathLike[str]) -> Network:
+    """The network in an archive that benchmark/train_opponents.py has written."""
+    with np.load(path) as arrays:
+        return Network(*(arrays[name] for name in Network._fields))
+
+
+class Workspace(NamedTuple):
+    """The layers' outputs for one sub-environment at a time."""
+
+    first: NDArray[np.float32]  # [hidden]
+    from_input: NDArray[np.float32]  # [3 hidden]
+    from_memory: NDArray[np.float32]  # [3 hidden]
+    last: NDArray[np.float32]  # [action]
+
+
+@compiled
+def linear(weight, bias, values, outputs):
+    """outputs = values @ weight + bias, without the many products that a ReLU has made zero."""
+    for j in range(len(outputs)):
+        outputs[j] = bias[j]
+    for k in range(len(values)):
+        value = values[k]
+        if value != 0:
+            for j in range(len(outputs)):
+                outputs[j] += value * weight[k, j]
+
+
+@compiled
+def sigmoid(x):
+    return np.float32(1) / (np.float32(1) + np.exp(-x))
+
+
+@compiled
+def decide(network, workspace, view, memory):
+    """The most probable action after the memory, [hidden], has taken in the view, [value]."""
+    first, from_input, from_memory, last = workspace
+    n_hidden = len(memory)
+    linear(network.first_weight, network.first_bias, view, first)
+    for j in range(n_hidden):
+        first[j] = max(first[j], np.float32(0))
+    linear(network.input_weight, network.input_bias, first, from_input)
+    linear(network.memory_weight, network.memory_bias, memory, from_memory)
+    for j in range(n_hidden):
+        reset = sigmoid(from_input[j] + from_memory[j])
+        update = sigmoid(from_input[n_hidden + j] + from_memory[n_hidden + j])
+        new = np.tanh(from_input[2 * n_hidden + j] + reset * from_memory[2 * n_hidden + j])
+        memory[j] = (np.float32(1) - update) * new + update * memory[j]
+    linear(network.last_weight, network.last_bias, memory, last)
+    return np.argmax(last)
+
+
+@compiled
+def decide_all(
+    first_weight, first_bias, input_weight, input_bias, memory_weight, memory_bias, last_weight, last_bias,
+    first, from_input, from_memory, last,
+    views, opponent, memory, opponent_action, idle,
+):  # fmt: skip
+    network = Network(
+        first_weight, first_bias, input_weight, input_bias, memory_weight, memory_bias, last_weight, last_bias
+    )
+    workspace = Workspace(first, from_input, from_memory, last)
+    for e in range(len(idle)):
+        if not idle[e]:
+            opponent_action[e] = decide(network, workspace, views[e, opponent], memory[e])
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The environment
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 class Scenario(NamedTuple):
@@ -490,10 +648,24 @@ MPE2: dict[str, Any] = {
 class Env(vector.VectorEnv):
     """The particle environments; see the module's docstring."""
 
+    can_draw = True
+
     def __init__(
-        self, name: str, num_envs: int, seed: int, copy: bool, *, scenario: str, paper: bool, selfplay: bool
+        self,
+        name: str,
+        num_envs: int,
+        seed: int,
+        copy: bool,
+        *,
+        scenario: str,
+        paper: bool,
+        selfplay: bool,
+        opponent: str | os.PathLike[str] | None = None,
     ) -> None:
-        """paper: the paper's game, else mpe2's. selfplay: the agents of team 1 learn too."""
+        """paper: the paper's game, else mpe2's. selfplay: the agents of team 1 learn too.
+
+        opponent: the archive of the network that plays team 1 otherwise; None for the one that comes with this package.
+        """
         game = SCENARIOS[scenario]
         n_agents, team = len(game.teams), [i for i, number in enumerate(game.teams) if number == 0]
         alone = selfplay or 1 not in game.teams
@@ -550,13 +722,84 @@ class Env(vector.VectorEnv):
             landmark_range=game.landmark_range,
             **(PAPER if paper else MPE2),
         )
+        self._team_of = game.teams
         self._arguments = (*self.game, *self.config)
         self._step_arguments = (*self._arguments, self.action_mask)
+
+        if not alone:
+            network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
+            n_hidden = len(network.first_bias)
+            workspace = Workspace(*(np.zeros(size, np.float32) for size in (n_hidden, 3 * n_hidden, 3 * n_hidden, 5)))
+            self.memory = np.zeros((num_envs, n_hidden), np.float32)
+            plays = (self.game.views, self.config.opponent, self.memory, self.game.opponent_action)
+            self._opponent_arguments = (*network, *workspace, *plays)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
         reset_all(*self._arguments, mask, seed, episodes)
+        if self.config.opponent >= 0:
+            self.memory[mask] = 0
+            decide_all(*self._opponent_arguments, ~mask)
 
     def step_envs(self, actions: NDArray[np.int64]) -> int:
         """See `VectorEnv`."""
-        return step_all(*self._step_arguments, actions)
+        refused = step_all(*self._step_arguments, actions)
+        if self.config.opponent >= 0 and refused < 0:
+            decide_all(*self._opponent_arguments, self.truncated)
+        return refused
+
+    def frame(self, index: int = 0) -> NDArray[np.uint8]:
+        """One sub-environment: team 0 in blue, team 1 in orange, landmarks grey, the goal green, lines for velocities.
+
+        Agents that touch another have a red rim. The speaker is a square; a bubble has the symbol that it said. The
+        grey frame goes from -1 to 1; where an agent is far outside, the picture shows more of the plane.
+        """
+        from envs import render  # Pillow is needed only where something is drawn
+
+        side, caption = 560, 34
+        agents, landmarks = self.game.agent_position[index], self.game.landmark_position[index]
+        farthest = max(np.abs(agents).max(), np.abs(landmarks).max())
+        shown = max(1.25, np.ceil(4 * farthest + 1) / 4)  # half of the side; in quarters, so that a film is calm
+        scale = side / (2 * shown)
+        canvas = render.Canvas(side, side + caption)
+
+        def pixel(place: NDArray[np.float64]) -> tuple[float, float]:
+            return side / 2 + scale * place[0], caption + side / 2 - scale * place[1]
+
+        corners = [pixel(np.array(corner)) for corner in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        for corner, following in zip(corners, corners[1:] + corners[:1]):
+            canvas.line(*corner, *following, render.LINES, 2)
+        for k, place in enumerate(landmarks):
+            colour = GOAL if k == self.game.goal[index] else CALM
+            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), colour)
+
+        n_agents = len(agents)
+        apart = np.linalg.norm(agents[:, None] - agents, axis=2)
+        touching = (apart < self.config.radius[:, None] + self.config.radius) & ~np.eye(n_agents, dtype=bool)
+        if self.config.scenario == TAG:  # what counts is the prey
+            touching[:PREY, :PREY] = False
+        collides = self.config.scenario in (SPREAD, TAG)
+        for i, place in enumerate(agents):
+            colour = render.AGENTS[self._team_of[i]]
+            edge = TOUCH if collides and touching[i].any() else render.WHITE
+            radius = max(scale * self.config.radius[i], 9)
+            x, y = pixel(place)
+            ahead = pixel(place + 0.3 * self.game.agent_velocity[index, i])  # where it would come to rest
+            canvas.line(x, y, *ahead, colour, 3)
+            if self.config.acceleration[i] == 0:
+                canvas.square(x, y, radius, colour, edge, 2)
+            else:
+                canvas.circle(x, y, radius, colour, edge, 4 if edge == TOUCH else 2)
+            canvas.text(x, y, str(i), min(1.3 * radius, 24), render.WHITE)
+        for k, place in enumerate(landmarks):  # once more, so that one is seen under an agent
+            colour = GOAL if k == self.game.goal[index] else CALM
+            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), None, colour, 2)
+        if self.game.symbol[index] >= 0:
+            x, y = pixel(agents[SPEAKER])
+            canvas.line(x, y, x + 24, y - 26, render.INK, 2)
+            canvas.circle(x + 28, y - 32, 14, render.WHITE, render.INK, 2)
+            canvas.text(x + 28, y - 32, "ABC"[self.game.symbol[index]], 17)
+
+        canvas.text(10, caption / 2, f"step {self.game.steps[index]} / {EPISODE_LIMIT}", 15, anchor="lm")
+        canvas.text(side - 10, caption / 2, f"return {self.game.score[index]:.2f}", 15, anchor="rm")
+        return canvas.frame()
