@@ -154,7 +154,7 @@ def reset_env(state, config, e):
     state.symbol[e] = -1
     state.contacts[e] = 0
     state.goal[e] = -1
-    if config.scenario == SPEAKER_LISTENER or config.scenario == ADVERSARY:
+    if config.scenario in (SPEAKER_LISTENER, ADVERSARY):
         state.goal[e] = random_below(state.random, e, n_landmarks)
     for i in range(n_agents):
         for x in range(2):
@@ -198,8 +198,8 @@ def act_env(state, config, e, actions):
             action, push = state.opponent_action[e], config.acceleration[i]  # in the directions it was trained with
         else:
             action, push = actions[e, i - config.first], config.acceleration[i] * config.direction
-        state.force[e, i, 0] = push * ((action == 1) - (action == 2))
-        state.force[e, i, 1] = push * ((action == 3) - (action == 4))
+        state.force[e, i, 0] = push * (action == 1) - push * (action == 2)
+        state.force[e, i, 1] = push * (action == 3) - push * (action == 4)
         if config.scenario == SPEAKER_LISTENER and i == SPEAKER:
             state.symbol[e] = action
 
@@ -214,7 +214,7 @@ def move_env(state, config, e):
         state.landmark_position,
     )
     n_agents, n_landmarks = position.shape[1], landmark.shape[1]
-    if config.scenario == SPREAD or config.scenario == TAG:
+    if config.scenario in (SPREAD, TAG):
         for i in range(n_agents):
             for j in range(i):
                 dx, dy = position[e, i, 0] - position[e, j, 0], position[e, i, 1] - position[e, j, 1]
@@ -335,7 +335,7 @@ def reward_env(state, config, e):
         reward_adversary(state, config, e)
     else:
         reward_tag(state, config, e)
-    if config.summed and (config.scenario == SPEAKER_LISTENER or config.scenario == SPREAD):
+    if config.summed and config.scenario in (SPEAKER_LISTENER, SPREAD):
         total = 0.0
         for i in range(n_agents):
             total += own[e, i]
