@@ -37,7 +37,9 @@ def rate(play: Callable[[], int], seconds: float) -> float:
 def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
     """Plays one episode of every sub-environment."""
     env = envs.make(name, num_envs, copy=copy)
-    actions = np.random.default_rng(0).integers(0, env.n_actions, (ACTIONS, num_envs, env.n_agents))
+    env.reset()
+    numbers = env.action_mask.sum(axis=2)  # the first ones of each agent
+    actions = np.random.default_rng(0).integers(0, numbers, (ACTIONS, num_envs, env.n_agents))
     prepared = itertools.cycle(list(actions))
 
     def play() -> int:
@@ -51,6 +53,8 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
 
 def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
+    if name.startswith("mpe"):
+        return original_mpe(name)
     match = re.fullmatch(r"lbf-(\d+)x(\d+)-(\d+)p-(\d+)f(-2s)?(-c)?(?:-v3)?", name)
     if match is None:
         return None
@@ -80,6 +84,29 @@ def original(name: str) -> Callable[[], int] | None:
         while not env.step(next(prepared))[2]:
             pass
         return int(env.current_step)
+
+    return play
+
+
+def original_mpe(name: str) -> Callable[[], int] | None:
+    """The same for the particle environments; where a task has an opponent, all agents act at random."""
+    versions = {"speaker-listener": "v4", "spread": "v3", "adversary": "v3", "tag": "v3"}
+    scenario = name.split("-", 1)[1].removesuffix("-selfplay")
+    try:
+        package = envs.optional(f"mpe2.simple_{scenario.replace('-', '_')}_{versions[scenario]}", "test")
+    except envs.InputError as error:
+        print(error, file=sys.stderr)
+        return None
+    env = package.parallel_env(max_cycles=25)
+    numbers = [env.action_space(agent).n for agent in env.possible_agents]
+    drawn = np.random.default_rng(0).integers(0, numbers, (ACTIONS, len(numbers))).tolist()
+    prepared = itertools.cycle([dict(zip(env.possible_agents, actions)) for actions in drawn])
+
+    def play() -> int:
+        env.reset(seed=0)
+        for _ in range(25):
+            env.step(next(prepared))
+        return 25
 
     return play
 

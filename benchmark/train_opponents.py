@@ -97,8 +97,19 @@ def mean_return(env: mpe.Env, act: Callable[[mpe.State, np.random.Generator], Ac
     return float(env.game.score.mean())
 
 
+def evaluations(directory: Path) -> list[dict[str, str]]:
+    """The rows of a run's evaluations.csv, none where it has not begun."""
+    if not (directory / "evaluations.csv").exists():
+        return []
+    with open(directory / "evaluations.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def train(task: str, seed: int, directory: Path) -> None:
-    """Runs the script, or lets it go on. Ends the program where the script ends with an error."""
+    """Runs the script, or lets it go on, up to the budget. Ends the program where the script ends with an error."""
+    rows = evaluations(directory)
+    if rows and int(rows[-1]["timestep"]) >= envs.task(f"{task}-selfplay").off_policy_timesteps:
+        return
     command = [sys.executable, str(ROOT / "algos" / "maddpg.py"), "--env", f"{task}-selfplay", "--individual-rewards"]
     command += ["--no-parameter-sharing", "--seed", str(seed), "--run-dir", str(directory), "--resume"]
     done = subprocess.run(command)
@@ -130,9 +141,7 @@ def candidate(task: str, directory: Path) -> dict[str, Any]:
     env = mpe.Env(task, EPISODES, 0, False, **envs.task(task).settings, opponent=archive)
     figures = {name: round(mean_return(env, probe.act), 3) for name, probe in PROBES[task].items()}
     config = json.loads((directory / "config.json").read_text())
-    with open(directory / "evaluations.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    curve = [[int(row["timestep"]), float(row["return_mean"])] for row in rows]
+    curve = [[int(row["timestep"]), float(row["return_mean"])] for row in evaluations(directory)]
     return {"seed": config["flags"]["seed"], "agent": agent, "returns": figures, "origin": config, "curve": curve}
 
 

@@ -215,7 +215,7 @@ def test_starts_are_uniform(name: str, reach: float) -> None:
     for places, half in ((env.game.agent_position, 1.0), (env.game.landmark_position, reach)):
         assert half - 1e-3 < np.abs(places).max() < half
         for i in range(places.shape[1]):
-            counts, *_ = np.histogram2d(*places[:, i].T, bins=cells, range=[[-half, half]] * 2)
+            counts, *_ = np.histogram2d(places[:, i, 0], places[:, i, 1], bins=cells, range=[[-half, half]] * 2)
             statistic = ((counts - number / cells**2) ** 2).sum() / (number / cells**2)
             assert abs(statistic - 99) < 5 * np.sqrt(2 * 99)
     everything = np.concatenate([env.game.agent_position, env.game.landmark_position], axis=1).reshape(number, -1)
@@ -361,11 +361,10 @@ def test_statistics_of_distances() -> None:
 # ---------------------------------------------------------------------------------------------------------------------
 
 
-def torch_layers(network: mpe.Network) -> tuple[nn.Linear, nn.GRU, nn.Linear]:
+def torch_layers(network: mpe.Network) -> tuple[Any, Any, Any]:
     """The same network in PyTorch."""
     n_hidden = len(network.first_bias)
-    first = nn.Linear(len(network.first_weight), n_hidden)
-    core = nn.GRU(n_hidden, n_hidden)
+    first, core = nn.Linear(len(network.first_weight), n_hidden), nn.GRU(n_hidden, n_hidden)
     last = nn.Linear(n_hidden, len(network.last_bias))
     parameters = (
         *(first.weight, first.bias, core.weight_ih_l0, core.bias_ih_l0, core.weight_hh_l0, core.bias_hh_l0),
@@ -373,6 +372,7 @@ def torch_layers(network: mpe.Network) -> tuple[nn.Linear, nn.GRU, nn.Linear]:
     )
     with torch.no_grad():
         for parameter, array in zip(parameters, network, strict=True):
+            assert isinstance(parameter, nn.Parameter)
             parameter.copy_(torch.from_numpy(array.T))
     return first, core, last
 
@@ -380,7 +380,8 @@ def torch_layers(network: mpe.Network) -> tuple[nn.Linear, nn.GRU, nn.Linear]:
 def random_network(path: Path, inputs: int, hidden: int = 20) -> Path:
     """A network whose memory matters: its weights are large."""
     rng = np.random.default_rng(0)
-    shapes = [(inputs, hidden), hidden, *[(hidden, 3 * hidden), 3 * hidden] * 2, (hidden, 5), 5]
+    gates = 3 * hidden
+    shapes = [(inputs, hidden), (hidden,), (hidden, gates), (gates,), (hidden, gates), (gates,), (hidden, 5), (5,)]
     arrays = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
     np.savez(path, **mpe.Network(*arrays)._asdict())
     return path
@@ -459,6 +460,27 @@ def test_a_checkpoint_becomes_an_opponent(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert script("maddpg").ALGORITHM == "maddpg"
 
 
+def test_a_complete_run_is_not_trained_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """An incomplete one goes on, and the program ends where the script ends with an error."""
+    started: list[list[str]] = []
+
+    def run(command: list[str]) -> subprocess.CompletedProcess[str]:
+        started.append(command)
+        return subprocess.CompletedProcess(command, len(started) - 1)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    table = tmp_path / "evaluations.csv"
+    table.write_text("point,timestep\n0,0\n40,625000\n")
+    opponents.train("mpe-tag", 3, tmp_path)
+    assert started == []
+    table.write_text("point,timestep\n0,0\n39,609375\n")
+    opponents.train("mpe-tag", 3, tmp_path)
+    flags = ["--env", "mpe-tag-selfplay", "--individual-rewards", "--no-parameter-sharing", "--seed", "3"]
+    assert started[0][2:] == [*flags, "--run-dir", str(tmp_path), "--resume"]
+    with pytest.raises(SystemExit, match="mpe-tag with seed 3 did not end"):
+        opponents.train("mpe-tag", 3, tmp_path)
+
+
 @pytest.fixture
 def two_candidates(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Two complete runs of which seed 1 is the better; the package's folder is a new one."""
@@ -494,8 +516,10 @@ def test_the_best_candidate_is_installed_and_not_replaced_silently(two_candidate
 
 
 @pytest.mark.parametrize("figures", [{"random": 1.5, "chase": 8.0}, {"random": 0.2, "chase": 3.0}])
-def test_a_candidate_out_of_bounds_is_not_installed(figures: dict[str, float], two_candidates: Path) -> None:
-    opponents.candidate = lambda task, directory: {"seed": 0, "returns": figures, "curve": []}
+def test_a_candidate_out_of_bounds_is_not_installed(
+    figures: dict[str, float], two_candidates: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opponents, "candidate", lambda *_: {"seed": 0, "returns": figures, "curve": []})
     opponents.main()
     assert not (two_candidates / "opponents").exists()
 

@@ -15,12 +15,17 @@ from hypothesis import strategies as st
 import envs
 from envs.tasks import room_for_foods
 
-PAPER = {"matrix": ("matrix", 2_500_000, 250_000, 101), "lbf": ("lbf", 20_000_000, 2_000_000, 41)}
+PAPER = {
+    "matrix": ("matrix", 2_500_000, 250_000, 101),
+    "lbf": ("lbf", 20_000_000, 2_000_000, 41),
+    "mpe": ("mpe", 20_000_000, 2_000_000, 41),
+}
+HERE = ("matrix-", "lbf-", "mpe-")
 
 
 def test_the_papers_tasks() -> None:
     names = envs.task_names()
-    assert len(names) == len(set(names)) == 13
+    assert len(names) == len(set(names)) == 17
     for name in names:
         task = envs.task(name)
         assert task.name == name
@@ -31,8 +36,23 @@ def test_the_papers_tasks() -> None:
 def test_names_of_the_papers_table_of_results() -> None:
     table = Path(__file__).parents[1] / "benchmark" / "paper" / "returns.csv"
     with table.open() as lines:
-        printed = {line["task"] for line in csv.DictReader(lines) if line["task"].startswith(("lbf-", "matrix-"))}
-    assert printed == {name for name in envs.task_names() if name.startswith(("lbf-", "matrix-"))}
+        printed = {line["task"] for line in csv.DictReader(lines) if line["task"].startswith(HERE)}
+    assert printed == {name for name in envs.task_names() if name.startswith(HERE)}
+
+
+@pytest.mark.parametrize("scenario", ["speaker-listener", "spread", "adversary", "tag"])
+def test_particle_environments(scenario: str) -> None:
+    """The package's rules have the paper's budgets; where all agents learn, 25,000 episodes of 25 steps."""
+    task = envs.task(f"mpe2-{scenario}")
+    assert (task.family, task.on_policy_timesteps, task.off_policy_timesteps, task.eval_points) == PAPER["mpe"]
+    for rules in ("mpe", "mpe2"):
+        name = f"{rules}-{scenario}-selfplay"
+        if scenario in ("adversary", "tag"):
+            task = envs.task(name)
+            assert (task.family, task.on_policy_timesteps, task.off_policy_timesteps) == ("mpe", 625_000, 625_000)
+        else:
+            with pytest.raises(envs.InputError, match="unknown task"):
+                envs.task(name)
 
 
 @given(
@@ -104,7 +124,9 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("matrix-penalty--25", "matrix-penalty-25"),
         ("matrix-penalty-025", "matrix-penalty-25"),
         ("LBF-15X15-3P-5F", "lbf-15x15-3p-5f"),
-        ("", "matrix-"),
+        ("mpe-speaker_listener", "mpe-speaker-listener"),
+        ("mpe3-tag", "mpe-tag"),
+        ("", "-"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
