@@ -790,10 +790,11 @@ class Env(vector.VectorEnv):
                 canvas.square(x, y, radius, colour, edge, 2)
             else:
                 canvas.circle(x, y, radius, colour, edge, 4 if edge == TOUCH else 2)
-            canvas.text(x, y, str(i), min(1.3 * radius, 24), render.WHITE)
         for k, place in enumerate(landmarks):  # once more, so that one is seen under an agent
-            colour = GOAL if k == self.game.goal[index] else CALM
-            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), None, colour, 2)
+            colour, width = (GOAL, 4) if k == self.game.goal[index] else (CALM, 2)
+            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), None, colour, width)
+        for i, place in enumerate(agents):
+            canvas.text(*pixel(place), str(i), min(max(1.3 * scale * self.config.radius[i], 12), 24), render.WHITE)
         if self.game.symbol[index] >= 0:
             x, y = pixel(agents[SPEAKER])
             canvas.line(x, y, x + 24, y - 26, render.INK, 2)
