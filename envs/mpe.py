@@ -6,8 +6,8 @@
 Speaker-Listener  The speaker (agent 0) sees which of three landmarks is the goal and says one of three symbols; the
                   listener (agent 1) hears it and should go there.
 Spread            Three agents should cover three landmarks without touching each other.
-Adversary         Two good agents (1 and 2) know which of two landmarks is the goal and want to be near it. The
-                  adversary (0) wants so too, does not know which it is, and watches them.
+Adversary         Two good agents (1 and 2) know which of two landmarks is the goal; one of them should be near it.
+                  The adversary (0) wants to be near it too, but has to guess which it is from what they do.
 Tag               Three predators (0 to 2) chase a prey (3), which is faster. Two large landmarks stand in the way.
 
 In Adversary and Tag the agents learn that the paper's tasks control, the good agents or the predators, numbered from 0;
@@ -76,8 +76,8 @@ from envs.kernels import WEYL, compiled, episode_state, forbidden_action, mix, r
 EPISODE_LIMIT = 25
 OPPONENTS = Path(__file__).parent / "opponents"
 SPEAKER_LISTENER, SPREAD, ADVERSARY, TAG = range(4)
-SPEAKER, LISTENER = 0, 1
-PREY = 3  # the agents before it are predators; in the adversary's scenario agent 0 is the adversary
+SPEAKER = 0  # the other agent is the listener
+PREY = 3  # the agents before it are the predators
 
 # The physics
 TIME_STEP = 0.1
@@ -168,7 +168,10 @@ def reset_env(state, config, e):
 
 @compiled
 def distance(a, b, e, i, j):
-    """Between place i of a and place j of b, arrays [env, place, (x, y)]."""
+    """Between place i of a and place j of b, arrays [env, place, (x, y)].
+
+    i and j are always variables: Numba would compile this rule, and what contains it, once more for each constant.
+    """
     dx, dy = a[e, i, 0] - b[e, j, 0], a[e, i, 1] - b[e, j, 1]
     return sqrt(dx * dx + dy * dy)
 
@@ -190,12 +193,12 @@ def repulsion(dx, dy, reach):
 
 @compiled
 def act_env(state, config, e, actions):
-    """Let all agents act: a force on each, and the speaker's symbol."""
+    """Let all agents act: a force on each, and the speaker's symbol. The opponent's moves are always the paper's."""
     state.steps[e] += 1
     state.truncated[e] = state.steps[e] == EPISODE_LIMIT
     for i in range(state.agent_position.shape[1]):
         if i == config.opponent:
-            action, push = state.opponent_action[e], config.acceleration[i]  # in the directions it was trained with
+            action, push = state.opponent_action[e], config.acceleration[i]
         else:
             action, push = actions[e, i - config.first], config.acceleration[i] * config.direction
         state.force[e, i, 0] = push * (action == 1) - push * (action == 2)

@@ -6,8 +6,10 @@ By default some 6 % of the steps are compared with mpe2; ENVS_FULL=1 compares al
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
@@ -267,6 +269,19 @@ def test_a_masked_reset_leaves_the_others_alone(name: str) -> None:
     one.reset(options={"reset_mask": np.array([False, True, False])})
     assert one.game.steps.tolist() == [4, 0, 4] and (one.game.symbol[1], one.game.score[1]) == (-1, 0)
     np.testing.assert_array_equal(play(one, 9)[:, [0, 2]], play(other, 9)[:, [0, 2]])
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", ["mpe-spread", "mpe-tag"])
+def test_a_copied_environment_goes_on_by_itself(name: str, duplicate: Callable[[mpe.Env], mpe.Env]) -> None:
+    """With the opponent's memory, and statistics of its own."""
+    env = make(name, 3, seed=4)
+    env.reset()
+    play(env, 5)
+    twin = duplicate(env)
+    alone = play(twin, 9)
+    np.testing.assert_array_equal(play(env, 9), alone)
+    assert twin.statistics["contacts"] is twin.game.contacts is not env.game.contacts
 
 
 # ---------------------------------------------------------------------------------------------------------------------
