@@ -671,8 +671,8 @@ class Env(vector.VectorEnv):
         """
         game = SCENARIOS[scenario]
         n_agents, team = len(game.teams), [i for i, number in enumerate(game.teams) if number == 0]
-        alone = selfplay or 1 not in game.teams
-        learning = range(n_agents) if alone else range(team[0], team[-1] + 1)
+        all_learn = selfplay or 1 not in game.teams
+        learning = range(n_agents) if all_learn else range(team[0], team[-1] + 1)
         super().__init__(
             name,
             num_envs,
@@ -702,7 +702,7 @@ class Env(vector.VectorEnv):
             force=np.zeros((num_envs, n_agents, 2)),
             own_rewards=np.zeros((num_envs, n_agents)),
             opponent_action=np.zeros(num_envs, np.int64),
-            views=self.observations if alone else np.zeros((num_envs, n_agents, game.obs_size), np.float32),
+            views=self.observations if all_learn else np.zeros((num_envs, n_agents, game.obs_size), np.float32),
             contacts=self.statistics.get("contacts", unused),
             occupied_landmarks=self.statistics.get("occupied_landmarks", unused),
             goal_distance=self.statistics.get("goal_distance", unused),
@@ -714,7 +714,7 @@ class Env(vector.VectorEnv):
         )
         self.config = Config(
             scenario=game.number,
-            opponent=-1 if alone else game.teams.index(1),
+            opponent=-1 if all_learn else game.teams.index(1),
             first=learning[0],
             team_first=team[0],
             team_size=len(team),
@@ -729,7 +729,7 @@ class Env(vector.VectorEnv):
         self._arguments = (*self.game, *self.config)
         self._step_arguments = (*self._arguments, self.action_mask)
 
-        if not alone:
+        if not all_learn:
             network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
             n_hidden = len(network.first_bias)
             workspace = Workspace(*(np.zeros(size, np.float32) for size in (n_hidden, 3 * n_hidden, 3 * n_hidden, 5)))
