@@ -44,7 +44,9 @@ def rate(play: Callable[[], int], seconds: float) -> float:
 def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
     """Plays one episode of every sub-environment."""
     env = envs.make(name, num_envs, copy=copy)
-    actions = np.random.default_rng(0).integers(0, env.n_actions, (ACTIONS, num_envs, env.n_agents))
+    env.reset()
+    numbers = env.action_mask.sum(axis=2)  # the first ones of each agent
+    actions = np.random.default_rng(0).integers(0, numbers, (ACTIONS, num_envs, env.n_agents))
     prepared = itertools.cycle(list(actions))
 
     def play() -> int:
@@ -58,6 +60,8 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
 
 def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
+    if name.startswith("mpe"):
+        return original_mpe(name)
     build = {"lbf": lbforaging, "rware": rware}.get(envs.task(name).module)
     if build is None:
         return None
@@ -131,6 +135,29 @@ def keep(path: Path, task: str, speeds: dict[str, float]) -> None:
         there = pd.read_csv(path)
         rows = pd.concat([there[there["task"] != task], rows])
     write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
+
+
+def original_mpe(name: str) -> Callable[[], int] | None:
+    """The same for the particle environments; where a task has an opponent, all agents act at random."""
+    versions = {"speaker-listener": "v4", "spread": "v3", "adversary": "v3", "tag": "v3"}
+    scenario = name.split("-", 1)[1].removesuffix("-selfplay")
+    try:
+        package = envs.optional(f"mpe2.simple_{scenario.replace('-', '_')}_{versions[scenario]}", "test")
+    except envs.InputError as error:
+        print(error, file=sys.stderr)
+        return None
+    env = package.parallel_env(max_cycles=25)
+    numbers = [env.action_space(agent).n for agent in env.possible_agents]
+    drawn = np.random.default_rng(0).integers(0, numbers, (ACTIONS, len(numbers))).tolist()
+    prepared = itertools.cycle([dict(zip(env.possible_agents, actions)) for actions in drawn])
+
+    def play() -> int:
+        env.reset(seed=0)
+        for _ in range(25):
+            env.step(next(prepared))
+        return 25
+
+    return play
 
 
 def main() -> None:

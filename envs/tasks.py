@@ -3,6 +3,7 @@
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
+    mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
 the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
@@ -15,6 +16,7 @@ import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 
@@ -58,12 +60,25 @@ PAPER_TASKS = (
     "rware-tiny-2p",
     "rware-tiny-4p",
     "rware-small-4p",
+    "mpe-speaker-listener",
+    "mpe-spread",
+    "mpe-adversary",
+    "mpe-tag",
 )
+
+
+OPPONENTS = Path(__file__).parent / "opponents"  # trained networks that play in tasks of MPE
 
 
 def task_names() -> list[str]:
     """The names of the paper's tasks that exist here. The grammar above allows many more."""
-    return list(PAPER_TASKS)
+    return [name for name in PAPER_TASKS if not lacks_opponent(name)]
+
+
+def lacks_opponent(name: str) -> bool:
+    """Whether a task of MPE has a built-in opponent that has not been trained yet."""
+    match = re.fullmatch("mpe2?-(adversary|tag)", name)
+    return match is not None and not (OPPONENTS / f"mpe-{match[1]}.npz").exists()
 
 
 def task(name: str) -> Task:
@@ -256,4 +271,21 @@ def parse_rware(name: str) -> Task | None:
     return Task(name, "rware", 40_000_000, 4_000_000, 41, "rware", settings)
 
 
-PARSERS = (parse_matrix, parse_lbf, parse_rware)
+def parse_mpe(name: str) -> Task | None:
+    """The particle environments by the paper's rules (mpe) or those of the package mpe2."""
+    match = re.fullmatch("(mpe2?)-(?:(speaker-listener|spread)|(adversary|tag)(-selfplay)?)", name)
+    if match is None:
+        return None
+    selfplay = match[4] is not None
+    settings = {"scenario": match[2] or match[3], "paper": match[1] == "mpe", "selfplay": selfplay}
+    if lacks_opponent(name):
+        raise InputError(
+            f"{name} has no opponent yet: `python benchmark/train_opponents.py` trains it, for hours. "
+            f"In {name}-selfplay all agents learn."
+        )
+    if selfplay:  # 25,000 episodes, in which the opponents were trained
+        return Task(name, "mpe", 625_000, 625_000, 41, "mpe", settings)
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "mpe", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe)

@@ -16,18 +16,19 @@ from hypothesis import strategies as st
 
 import envs
 from envs import tasks
-from envs.tasks import names_here, room_for_foods
+from envs.tasks import lacks_opponent, names_here, room_for_foods
 
 PAPER = {
     "matrix": ("matrix", 2_500_000, 250_000, 101),
     "lbf": ("lbf", 20_000_000, 2_000_000, 41),
     "rware": ("rware", 40_000_000, 4_000_000, 41),
+    "mpe": ("mpe", 20_000_000, 2_000_000, 41),
 }
 
 
 def test_the_papers_tasks() -> None:
     names = envs.task_names()
-    assert len(names) == len(set(names)) == 16
+    assert len(names) == len(set(names)) == 20 - sum(map(lacks_opponent, ("mpe-adversary", "mpe-tag")))
     for name in names:
         task = envs.task(name)
         assert task.name == name
@@ -40,7 +41,34 @@ def test_names_of_the_papers_table_of_results() -> None:
     with table.open() as lines:
         printed = {line["task"] for line in csv.DictReader(lines)}
     families = tuple(PAPER)
-    assert {name for name in printed if name.startswith(families)} == set(envs.task_names())
+    assert {name for name in printed if name.startswith(families) and not lacks_opponent(name)} == set(
+        envs.task_names()
+    )
+
+
+@pytest.mark.parametrize("scenario", ["speaker-listener", "spread", "adversary", "tag"])
+def test_particle_environments(scenario: str) -> None:
+    """The package's rules have the paper's budgets; where all agents learn, 25,000 episodes of 25 steps."""
+    if lacks_opponent(f"mpe2-{scenario}"):
+        pytest.skip("its opponent is not trained yet")
+    task = envs.task(f"mpe2-{scenario}")
+    assert (task.family, task.on_policy_timesteps, task.off_policy_timesteps, task.eval_points) == PAPER["mpe"]
+    for rules in ("mpe", "mpe2"):
+        name = f"{rules}-{scenario}-selfplay"
+        if scenario in ("adversary", "tag"):
+            task = envs.task(name)
+            assert (task.family, task.on_policy_timesteps, task.off_policy_timesteps) == ("mpe", 625_000, 625_000)
+        else:
+            with pytest.raises(envs.InputError, match="unknown task"):
+                envs.task(name)
+
+
+def test_a_task_without_its_opponent_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tasks, "OPPONENTS", tmp_path)
+    for name in ("mpe-tag", "mpe2-adversary"):
+        with pytest.raises(envs.InputError, match=f"{name} has no opponent yet"):
+            envs.make(name)
+    assert not {"mpe-adversary", "mpe-tag"} & set(envs.task_names())
 
 
 @given(
@@ -146,6 +174,9 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("rware-tiny-4p-hard-2s", "rware-tiny-4p"),
         ("rware-tiny-04p", "rware-tiny-4p"),
         ("rware-huge-4p", "rware-tiny-4p"),
+        ("mpe-speaker_listener", "mpe-speaker-listener"),
+        ("mpe3-tag", "mpe-tag"),
+        ("", "-"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
