@@ -2,6 +2,7 @@
 
     matrix-climbing  matrix-penalty-<k>
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
+    smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
 
 A family is added by a parser: a function that takes a name and gives its Task, None where the name is not of its
 form, or raises InputError where it has the form but no game can be played. `PARSERS` lists them.
@@ -14,6 +15,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+from envs.smaclite_maps import LITE_MAPS
 
 
 class InputError(ValueError):
@@ -53,6 +56,11 @@ PAPER_TASKS = (
     "lbf-15x15-3p-5f",
     "lbf-15x15-4p-3f",
     "lbf-15x15-4p-5f",
+    "smaclite-2s_vs_1sc-sc2",  # these five stand for SMAC's, which need StarCraft II
+    "smaclite-3s5z-sc2",
+    "smaclite-MMM2-sc2",
+    "smaclite-corridor-sc2",
+    "smaclite-3s_vs_5z-sc2",
 )
 
 
@@ -136,4 +144,17 @@ def room_for_foods(rows: int, columns: int, wanted: int) -> int:
     return placed
 
 
-PARSERS = (parse_matrix, parse_lbf)
+def parse_smac(name: str) -> Task | None:
+    """Battles on the maps that our own simulator knows, and, with StarCraft II, on those of SMAC."""
+    match = re.fullmatch("(smaclite|smac)-([0-9A-Za-z_]+)(-sc2)?", name)
+    if match is None or (match[1] == "smac" and match[3]):
+        return None
+    if match[1] == "smac":
+        return Task(name, "smac", 40_000_000, 4_000_000, 41, "starcraft", {"map_name": match[2]})
+    if match[2] not in LITE_MAPS:
+        return None
+    settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
+    return Task(name, "smac", 40_000_000, 4_000_000, 41, "smaclite", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_smac)
