@@ -59,7 +59,7 @@ from numpy.typing import NDArray
 
 from envs import vector
 from envs.kernels import compiled, episode_state, forbidden_action, random_below
-from envs.smaclite_maps import RULE_SETS, SIZE, formation, terrain
+from envs.smaclite_maps import RULE_SETS, SIZE, Polygon, formation, terrain
 
 NO_OP, STOP, NORTH, SOUTH, EAST, WEST, ATTACK = 0, 1, 2, 3, 4, 5, 6  # ATTACK + k: unit k
 TICKS = 8  # of a step
@@ -79,6 +79,21 @@ NOBODY = -1
 FAR = 1e6  # more than any squared distance
 SECOND_CHOICE = 1e7  # more than FAR
 PARALLEL = 1e-5
+
+# Colours and letters of a frame
+WALL, GRAVE = (190, 186, 176), (170, 168, 162)
+ALLY, ENEMY = (31, 105, 180), (200, 70, 30)
+SHOT, BEAM = {ALLY: (120, 175, 230), ENEMY: (240, 150, 100)}, (60, 165, 85)
+HEALTH, SHIELD = (60, 165, 85), (90, 150, 230)
+LETTERS = {
+    "stalker": "S",
+    "zealot": "Z",
+    "zergling": "z",
+    "marine": "m",
+    "marauder": "M",
+    "medivac": "+",
+    "spine crawler": "C",
+}
 
 
 UNIT = np.dtype(
@@ -131,7 +146,24 @@ UNIT = np.dtype(
     ],
     align=True,
 )
-EDGE = np.dtype([(name, float) for name in "ax ay bx by tx ty before_x before_y after_x after_y".split()])
+EDGE = np.dtype(
+    [
+        ("ax", float),  # where it starts; the wall lies to the left of it
+        ("ay", float),
+        ("bx", float),  # where it ends
+        ("by", float),
+        ("tx", float),  # its direction
+        ("ty", float),
+        ("before_x", float),  # the direction of the edge before, and of the one after
+        ("before_y", float),
+        ("after_x", float),
+        ("after_y", float),
+        ("left", float),  # a box around the wall
+        ("bottom", float),
+        ("right", float),
+        ("top", float),
+    ]
+)
 
 
 class State(NamedTuple):
@@ -144,6 +176,9 @@ class State(NamedTuple):
     turn: NDArray[np.int64]  # [env, place] the units in the order in which they move and shoot
     unit: Any  # [env, unit] records of the kind UNIT
     last_action: NDArray[np.int64]  # [env, agent]; -1 at the start
+    walkable: NDArray[np.bool_]  # [row, column] of cells, for the mask
+    edge: Any  # [edge] of all walls, records of the kind EDGE
+    near_edges: NDArray[np.int64]  # [row, column, place] those that a unit in that cell may have to mind; then -1
     near: NDArray[np.int64]  # [place] room for the neighbours of one unit, nearest first
     distance: NDArray[np.float64]  # [place] and for their squared distances
     line: NDArray[np.float64]  # [line, (x, y, direction x, direction y)] room for the half-planes of one unit
@@ -161,7 +196,10 @@ class State(NamedTuple):
 
 
 class Config(NamedTuple):
-    """What the name says: the fields of `smaclite_maps.Rules`, and the map."""
+    """What the name says: the fields of `smaclite_maps.Rules`, and of the map what are not arrays.
+
+    Arrays in it would be slow: each call with this tuple as an argument would count a reference to each of them.
+    """
 
     healers_first: bool
     weapon_jitter: bool
@@ -179,12 +217,6 @@ class Config(NamedTuple):
     ally_shields: bool  # whether observations and state have a column for them
     enemy_shields: bool
     n_types: int  # bits for the type of a unit in observations and state
-    walkable: NDArray[np.bool_]  # [row, column]
-    wall: NDArray[np.float64]  # [wall, (left, bottom, right, top)] boxes around the walls
-    first_edge: NDArray[np.int64]  # [wall + 1] edges of wall w: from first_edge[w] up to first_edge[w + 1]
-    edge: Any  # [edge] records of the kind EDGE: start a, end b, direction t, of the edge before, of the edge after
-    n_near_walls: NDArray[np.int64]  # [row, column] how many walls a unit in that cell may have to mind
-    near_walls: NDArray[np.int64]  # [row, column, place] which ones
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -314,9 +346,11 @@ def tick(state, config, e):
                 speed = speed_of_company(unit, i, config)
                 find_patient(unit, i, config)
         decide(unit, i, speed, n_allies)
+    edge, near_edges = state.edge, state.near_edges
+    near, distance, line, projected = state.near, state.distance, state.line, state.projected
     for i in range(n_units):
         if unit[i].hp > 0:
-            avoid_collisions(state, config, unit, i)
+            avoid_collisions(unit, i, config.largest, edge, near_edges, near, distance, line, projected)
 
     for place in range(n_units - 1, 0, -1):
         other = random_below(state.random, e, place + 1)
@@ -519,18 +553,18 @@ def det(ax, ay, bx, by):
 
 
 @compiled
-def avoid_collisions(state, config, unit, i):
+def avoid_collisions(unit, i, largest, edge, near_edges, near, distance, line, projected):
     """The velocity for this tick. Who wants to stand, stands, whoever pushes."""
-    me, line = unit[i], state.line
+    me = unit[i]
     x, y = me.wanted_x, me.wanted_y
     if x != 0 or y != 0:
         n_walls = 0
         if not me.flies:
-            n_walls = lines_of_walls(me, config, line)
-        n_lines = lines_of_units(unit, i, config.largest, state.near, state.distance, line, n_walls)
+            n_walls = lines_of_walls(me, edge, near_edges, line)
+        n_lines = lines_of_units(unit, i, largest, near, distance, line, n_walls)
         violated, x, y = best_velocity(line, n_lines, me.speed, x, y, False)
         if violated < n_lines:
-            x, y = least_collision(line, state.projected, n_walls, n_lines, violated, me.speed, x, y)
+            x, y = least_collision(line, projected, n_walls, n_lines, violated, me.speed, x, y)
     me.chosen_x, me.chosen_y = x, y
 
 
@@ -594,19 +628,21 @@ def lines_of_units(unit, i, largest, near, distance, line, n_lines):
 
 
 @compiled
-def lines_of_walls(me, config, line):
+def lines_of_walls(me, edge, near_edges, line):
     """The lines of the walls that this unit could touch within a second; returns their number."""
     column = min(max(math.floor(me.x), 0), SIZE - 1)
     row = min(max(math.floor(me.y), 0), SIZE - 1)
     farthest = me.body + me.speed
     n_lines = 0
-    for place in range(config.n_near_walls[row, column]):
-        w = config.near_walls[row, column, place]
-        across = max(config.wall[w, 0] - me.x, me.x - config.wall[w, 2], 0.0)
-        up = max(config.wall[w, 1] - me.y, me.y - config.wall[w, 3], 0.0)
+    for place in range(near_edges.shape[2]):
+        k = near_edges[row, column, place]
+        if k < 0:
+            break
+        one = edge[k]
+        across = max(one.left - me.x, me.x - one.right, 0.0)
+        up = max(one.bottom - me.y, me.y - one.top, 0.0)
         if across * across + up * up < farthest * farthest:
-            for k in range(config.first_edge[w], config.first_edge[w + 1]):
-                n_lines = line_of_edge(me, config.edge[k], line, n_lines)
+            n_lines = line_of_edge(me, one, line, n_lines)
     return n_lines
 
 
@@ -739,10 +775,9 @@ def best_on_line(line, i, speed, x, y, farthest):
             low = max(low, numerator / denominator)
         if low > high:
             return False, x, y
+    along = min(max(dx * (x - px) + dy * (y - py), low), high)
     if farthest:
         along = high if dx * x + dy * y > 0 else low
-    else:
-        along = min(max(dx * (x - px) + dy * (y - py), low), high)
     return True, px + along * dx, py + along * dy
 
 
@@ -809,7 +844,7 @@ def observe_env(state, config, e):
     unit = state.unit[e]
     for i in range(config.n_allies):
         mask = state.action_mask[e, i]
-        mask_agent(unit, i, config, mask)
+        mask_agent(unit, i, config.n_allies, state.walkable, mask)
         observe_agent(unit, i, config, mask, state.observations[e, i])
     write_state(unit, config, state.last_action[e], state.action_mask.shape[2], state.state[e])
 
@@ -821,7 +856,7 @@ def can_walk(walkable, x, y):
 
 
 @compiled
-def mask_agent(unit, i, config, mask):
+def mask_agent(unit, i, n_allies, walkable, mask):
     """The actions that agent i may choose."""
     me = unit[i]
     for action in range(len(mask)):
@@ -830,11 +865,11 @@ def mask_agent(unit, i, config, mask):
         mask[NO_OP] = True
         return
     mask[STOP] = True
-    mask[NORTH] = can_walk(config.walkable, me.x, me.y + MOVE / 2)
-    mask[SOUTH] = can_walk(config.walkable, me.x, me.y - MOVE / 2)
-    mask[EAST] = can_walk(config.walkable, me.x + MOVE / 2, me.y)
-    mask[WEST] = can_walk(config.walkable, me.x - MOVE / 2, me.y)
-    first, last = (0, config.n_allies) if me.heals else (config.n_allies, len(unit))
+    mask[NORTH] = can_walk(walkable, me.x, me.y + MOVE / 2)
+    mask[SOUTH] = can_walk(walkable, me.x, me.y - MOVE / 2)
+    mask[EAST] = can_walk(walkable, me.x + MOVE / 2, me.y)
+    mask[WEST] = can_walk(walkable, me.x - MOVE / 2, me.y)
+    first, last = (0, n_allies) if me.heals else (n_allies, len(unit))
     for j in range(first, last):
         other = unit[j]
         fit = other.hp > 0 and not (me.heals and other.heals)
@@ -957,6 +992,8 @@ class Env(vector.VectorEnv):
 
     can_draw = True
 
+    can_draw = True
+
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, *, map_name: str, rule_set: str) -> None:
         """map_name, rule_set: keys of the tables in `envs.smaclite_maps`."""
         rules, types, maps = RULE_SETS[rule_set]
@@ -998,10 +1035,9 @@ class Env(vector.VectorEnv):
         )
         bodies = np.array([unit.body or unit.radius for unit in units])
         speeds = np.array([unit.speed for unit in units])
-        walkable, walls = terrain(field)
-        boxes = np.array([[*np.min(wall, axis=0), *np.max(wall, axis=0)] for wall in walls]).reshape(-1, 4)
-        edges = [edge for wall in walls for edge in edges_of(wall)]
-        n_near, near = walls_near_cells(boxes, float((bodies + speeds).max()))
+        walkable, self.walls = terrain(field)
+        edges = [edge for wall in self.walls for edge in edges_of(wall)]
+        edge = np.array(edges, EDGE).view(np.recarray)
         values = sum(unit.hp + unit.shield for unit in units[n_allies:]) + KILL * n_enemies + WIN
         self.config = Config(
             *rules,
@@ -1012,12 +1048,6 @@ class Env(vector.VectorEnv):
             ally_shields=ally_shields,
             enemy_shields=enemy_shields,
             n_types=n_types,
-            walkable=walkable,
-            wall=boxes,
-            first_edge=np.cumsum([0] + [len(wall) for wall in walls]),
-            edge=np.array(edges, EDGE).view(np.recarray),
-            n_near_walls=n_near,
-            near_walls=near,
         )
 
         unit = np.zeros((num_envs, n_units), UNIT).view(np.recarray)
@@ -1041,6 +1071,9 @@ class Env(vector.VectorEnv):
             turn=np.zeros((num_envs, n_units), np.int64),
             unit=unit,
             last_action=np.zeros((num_envs, n_allies), np.int64),
+            walkable=walkable,
+            edge=edge,
+            near_edges=edges_near_cells(edge, float((bodies + speeds).max())),
             near=np.zeros(n_units, np.int64),
             distance=np.zeros(n_units),
             line=np.zeros((n_lines, 4)),
@@ -1065,21 +1098,84 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`."""
         return step_all(self.game, self.config, actions)
 
+    def frame(self, index: int = 0) -> NDArray[np.uint8]:
+        """The map of one sub-environment: units as discs with the letter of their type, allies blue, enemies red.
 
-def edges_of(wall):
-    """Rows of `Config.edge`."""
+        Above a unit are bars of its hp (green) and its shield (blue); those that fly have a white edge. Lines join a
+        unit to whom it has hit, or with a green one healed, in this step. Crosses are the dead.
+        """
+        from envs import render  # Pillow is needed only where something is drawn
+
+        rows, columns = np.nonzero(self.game.walkable)
+        bottom, top = max(rows.min() - 1, 0), min(rows.max() + 2, SIZE)
+        left, right = max(columns.min() - 1, 0), min(columns.max() + 2, SIZE)
+        cell, margin, caption = 640 // max(top - bottom, right - left), 10, 34
+        width, height = (right - left) * cell, (top - bottom) * cell
+        canvas = render.Canvas(width + 2 * margin, height + margin + caption)
+
+        def place(x: float, y: float) -> tuple[float, float]:
+            return margin + (x - left) * cell, caption + (top - y) * cell
+
+        def polygon(corners: Polygon, colour: render.Colour) -> None:
+            points = [place(*corner) for corner in corners]
+            canvas.pen.polygon([(x * render.DETAIL, y * render.DETAIL) for x, y in points], fill=colour)
+
+        canvas.text(margin, caption / 2, f"step {self.game.steps[index]} / {self.episode_limit}", 15, anchor="lm")
+        canvas.text(margin + width / 2, caption / 2, self.name, 15)
+        canvas.text(margin + width, caption / 2, f"return {self.game.score[index]:.2f}", 15, anchor="rm")
+        for wall in self.walls:
+            polygon([(min(max(x, left), right), min(max(y, bottom), top)) for x, y in wall], WALL)
+
+        units = self.game.unit[index]
+        places = [place(unit.x, unit.y) for unit in units]
+        colours = [ALLY] * self.n_agents + [ENEMY] * (len(units) - self.n_agents)
+        for unit, (x, y) in zip(units, places):
+            if unit.hp == 0:
+                half = 0.5 * unit.body * cell
+                canvas.line(x - half, y - half, x + half, y + half, GRAVE, 2)
+                canvas.line(x - half, y + half, x + half, y - half, GRAVE, 2)
+        for unit, start, colour in zip(units, places, colours):
+            if unit.shot != NOBODY:
+                canvas.line(*start, *places[int(unit.shot)], BEAM if unit.heals else SHOT[colour], 3 if unit.heals else 1.5)
+        for flying in (False, True):
+            for unit, (x, y), colour, name in zip(units, places, colours, self.unit_names):
+                if unit.hp == 0 or unit.flies != flying:
+                    continue
+                radius = unit.body * cell
+                canvas.circle(x, y, radius, colour, render.WHITE if flying else None, 1.5)
+                canvas.text(x, y, LETTERS[name], 1.3 * radius, render.WHITE)
+        for unit, (x, y) in zip(units, places):
+            parts = [(unit.hp / unit.max_hp, HEALTH)]
+            if unit.max_shield > 0:
+                parts.append((unit.shield / unit.max_shield, SHIELD))
+            length, level = 2 * unit.body * cell, y - unit.body * cell
+            for part, colour in parts if unit.hp > 0 else ():
+                level -= 3
+                canvas.line(x - length / 2, level, x + length / 2, level, GRAVE, 2)
+                if part > 0:
+                    canvas.line(x - length / 2, level, x + (part - 0.5) * length, level, colour, 2)
+        return canvas.frame()
+
+
+def edges_of(wall: Polygon) -> list[tuple[float, ...]]:
+    """Records of the kind EDGE."""
     corners = np.array(wall, float)
     ends = np.roll(corners, -1, axis=0)
     directions = (ends - corners) / np.linalg.norm(ends - corners, axis=1, keepdims=True)
     before, after = np.roll(directions, 1, axis=0), np.roll(directions, -1, axis=0)
-    return [tuple(row) for row in np.hstack([corners, ends, directions, before, after])]
+    box = np.tile([*corners.min(axis=0), *corners.max(axis=0)], (len(wall), 1))
+    return [tuple(row) for row in np.hstack([corners, ends, directions, before, after, box])]
 
 
-def walls_near_cells(boxes, distance):
-    """For each cell [row, column] how many boxes are nearer than the distance, and which."""
-    low = np.arange(SIZE)
-    across = np.maximum(0, np.maximum(boxes[:, 0] - low[:, None] - 1, low[:, None] - boxes[:, 2]))  # [column, wall]
-    up = np.maximum(0, np.maximum(boxes[:, 1] - low[:, None] - 1, low[:, None] - boxes[:, 3]))  # [row, wall]
-    near = up[:, None] ** 2 + across[None] ** 2 < distance**2  # [row, column, wall]
-    number = near.sum(axis=2)
-    return number, np.argsort(~near, axis=2, kind="stable")[:, :, : max(number.max(), 1)]
+def edges_near_cells(edge: Any, distance: float) -> NDArray[np.int64]:
+    """For each cell, [row, column], the edges of walls nearer than the distance; then -1."""
+    low = np.arange(SIZE)[:, None]
+    across = np.maximum(0, np.maximum(edge.left - low - 1, low - edge.right))  # [column, edge]
+    up = np.maximum(0, np.maximum(edge.bottom - low - 1, low - edge.top))  # [row, edge]
+    near = up[:, None] ** 2 + across[None] ** 2 < distance**2  # [row, column, edge]
+    numbers = np.full((SIZE, SIZE, max(near.sum(axis=2).max(initial=0), 1)), -1)
+    for row in range(SIZE):
+        for column in range(SIZE):
+            found = np.flatnonzero(near[row, column])
+            numbers[row, column, : len(found)] = found
+    return numbers

@@ -89,7 +89,7 @@ def test_starts() -> None:
 def test_masks_observations_and_states(name: str, suffix: str, file: str, key: str) -> None:
     """SMAClite's own, and those of SMAC's real wrapper, for units that stand anywhere, dead ones among them."""
     env = make(name + suffix)
-    env.config = env.config._replace(walkable=make(name).config.walkable)  # both were recorded on SMAClite's terrain
+    env.game.walkable[:] = make(name).game.walkable  # both were recorded on SMAClite's terrain
     cases: dict[str, Any] = defaultdict(list)
     for row in table("layout_inputs"):
         if row["map"] == name:
