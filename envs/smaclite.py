@@ -297,8 +297,8 @@ def give_order(me, action, n_allies):
         me.order = action - ATTACK + (0 if me.heals else n_allies)
     elif action >= NORTH:
         me.order = WALK
-        me.goal_x = me.x + MOVE * ((action == EAST) - (action == WEST))
-        me.goal_y = me.y + MOVE * ((action == NORTH) - (action == SOUTH))
+        me.goal_x = me.x + (MOVE if action == EAST else -MOVE if action == WEST else 0.0)
+        me.goal_y = me.y + (MOVE if action == NORTH else -MOVE if action == SOUTH else 0.0)
     else:
         me.order = HOLD
 
@@ -1136,7 +1136,8 @@ class Env(vector.VectorEnv):
                 canvas.line(x - half, y + half, x + half, y - half, GRAVE, 2)
         for unit, start, colour in zip(units, places, colours):
             if unit.shot != NOBODY:
-                canvas.line(*start, *places[int(unit.shot)], BEAM if unit.heals else SHOT[colour], 3 if unit.heals else 1.5)
+                beam = BEAM if unit.heals else SHOT[colour]
+                canvas.line(*start, *places[int(unit.shot)], beam, 3 if unit.heals else 1.5)
         for flying in (False, True):
             for unit, (x, y), colour, name in zip(units, places, colours, self.unit_names):
                 if unit.hp == 0 or unit.flies != flying:

@@ -103,7 +103,7 @@ class Rules(NamedTuple):
 LITE_RULES = Rules(
     healers_first=True,
     weapon_jitter=False,
-    least_damage=0,
+    least_damage=0.0,
     reward_by_difference=False,
     draw_wins=True,
     healers_count=True,

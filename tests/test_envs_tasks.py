@@ -15,12 +15,16 @@ from hypothesis import strategies as st
 import envs
 from envs.tasks import room_for_foods
 
-PAPER = {"matrix": ("matrix", 2_500_000, 250_000, 101), "lbf": ("lbf", 20_000_000, 2_000_000, 41)}
+PAPER = {
+    "matrix": ("matrix", 2_500_000, 250_000, 101),
+    "lbf": ("lbf", 20_000_000, 2_000_000, 41),
+    "smaclite": ("smac", 40_000_000, 4_000_000, 41),
+}
 
 
 def test_the_papers_tasks() -> None:
     names = envs.task_names()
-    assert len(names) == len(set(names)) == 13
+    assert len(names) == len(set(names)) == 18
     for name in names:
         task = envs.task(name)
         assert task.name == name
@@ -31,8 +35,13 @@ def test_the_papers_tasks() -> None:
 def test_names_of_the_papers_table_of_results() -> None:
     table = Path(__file__).parents[1] / "benchmark" / "paper" / "returns.csv"
     with table.open() as lines:
-        printed = {line["task"] for line in csv.DictReader(lines) if line["task"].startswith(("lbf-", "matrix-"))}
-    assert printed == {name for name in envs.task_names() if name.startswith(("lbf-", "matrix-"))}
+        printed = {line["task"] for line in csv.DictReader(lines)}
+    ours = {name for name in envs.task_names() if name.startswith(("lbf-", "matrix-"))}
+    assert ours == {name for name in printed if name.startswith(("lbf-", "matrix-"))}
+    # Our own simulator stands for StarCraft II.
+    stand_ins = {name for name in envs.task_names() if name.startswith("smaclite-")}
+    assert stand_ins == {f"smaclite-{name[5:]}-sc2" for name in printed if name.startswith("smac-")}
+    assert {envs.task(name).family for name in printed if name.startswith("smac-")} == {"smac"}
 
 
 @given(
@@ -104,7 +113,10 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("matrix-penalty--25", "matrix-penalty-25"),
         ("matrix-penalty-025", "matrix-penalty-25"),
         ("LBF-15X15-3P-5F", "lbf-15x15-3p-5f"),
-        ("", "matrix-"),
+        ("", "the nearest are"),
+        ("smaclite-mmm2-sc2", "smaclite-MMM2-sc2"),
+        ("smaclite-4s5z", "smaclite-3s5z-sc2"),
+        ("smac-3s5z-sc2", "smaclite-3s5z-sc2"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
