@@ -21,11 +21,12 @@ Observation of a living agent (zeros for a dead one):
     of each enemy: whether it may be attacked, distance / 9, x and y relative to the agent / 9, hp, shield, type;
     of each other ally: 1, distance / 9, relative x and y / 9, hp, shield, type;
     its own hp, shield, type.
-hp and shield are parts of their maximum, the type is a bit for each type that the map's table lists. There is no shield
-or type where a side has none or no two. Dead units, and those 9 away or more, are zeros. (For a medivac, as in SMAC,
-"may be attacked" of enemy k is whether it may heal ally k.)
-State: of each ally hp, cooldown of the weapon (for a medivac its energy), x and y less 16 / 32, shield, type; of each
-enemy hp, x, y, shield, type; zeros for the dead; then each agent's last action, one bit for each.
+hp and shield are parts of their maximum, the type is a bit for each type that the map's table lists. Shields are left
+out where a side has none, types where it has only one. Dead units, and those 9 away or more, are zeros. (For a medivac,
+as in SMAC, "may be attacked" of enemy k is whether it may heal ally k.)
+State: of each ally hp, cooldown of the weapon (a part of the whole or, with -sc2, of SMAC's constants; for a medivac
+energy / 200), (x - 16) / 32, (y - 16) / 32, shield, type; of each enemy hp, x, y, shield, type, in the same way; zeros
+for the dead; then each agent's last action, one bit for each action.
 
 Reward, the same for all agents: the damage done to shields and hp of enemies, 10 for each killed, and 200 for the
 victory, scaled such that an enemy side that does not regenerate is worth 20 in all. With -sc2 it is, as in SMAC, the
@@ -38,15 +39,16 @@ A tick: (1) An enemy keeps its target while that lives and is within reach, or a
 the nearest of all it can hit that are within its sight (see the tables) or attack it. (Without -sc2 healers come first,
 and as long as one lives, an enemy that does not attack a healer chooses anew in each tick.) A healer of the enemies
 takes the weakest on the ground around it that is hurt or busy. Who has nobody walks to the map's point of attack, in a
-straight line. (2) Who has its target within reach stands and shoots, if its weapon has cooled down; others walk. Units
-and walls are avoided as in ORCA, but who stands, stands like a rock. (3) In an order drawn anew for each tick, units
-move, regenerate, shoot.
+straight line, a healer no faster than those around it. Agents' units do what they are told and nothing else. (2) Who
+has its target within reach stands and shoots, if its weapon has cooled down; others walk. Units and walls are avoided
+as in ORCA, but who stands, stands like a rock. (3) In an order drawn anew for each tick, units move, regenerate, shoot.
 
 A hit takes the damage (more on armoured units) from the shield, the rest, less the armour, from the hp. Shields regain
 2 per second after 10 s without a hit, zerg 0.38 (0.273 with -sc2). A medivac gives 9 hp per second, 3 for a point of
-energy, of which it has 50 and regains 0.5625 per second. Weapons of -sc2 take a random -1 to 2 ticks longer to cool;
-besides that, only the order within a tick is random: episodes begin all alike, and without -sc2 a team that does the
-same again lives through almost the same again.
+energy, of which it has 50 and regains 0.5625 per second; without -sc2 it saves a patient killed in this very tick if
+its turn comes after the shot. Weapons of -sc2 take a random -1 to 2 ticks longer to cool; besides that, only the order
+within a tick is random: episodes begin all alike, and without -sc2 a team that does the same again lives through almost
+the same again.
 """
 
 from __future__ import annotations
@@ -196,9 +198,9 @@ class State(NamedTuple):
 
 
 class Config(NamedTuple):
-    """What the name says: the fields of `smaclite_maps.Rules`, and of the map what are not arrays.
+    """What the name says: the fields of `smaclite_maps.Rules`, and numbers of the map.
 
-    Arrays in it would be slow: each call with this tuple as an argument would count a reference to each of them.
+    It has no arrays, because a call with this tuple as an argument would count one more reference to each of them.
     """
 
     healers_first: bool
@@ -318,7 +320,7 @@ def health_of_enemies(unit, n_allies):
 def tick(state, config, e):
     """All decide by what they see at the start of the tick; then they move and shoot, one after the other.
 
-    The order, new in each tick, is the only chance in a battle, besides the jitter of weapons.
+    The order, new in each tick, is all that is random in a battle, besides the jitter of weapons.
     """
     unit, turn, n_allies = state.unit[e], state.turn, config.n_allies
     n_units = len(unit)
