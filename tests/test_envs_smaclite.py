@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import envs
 from envs import smaclite, smaclite_maps
-from envs.smaclite import ATTACK, EAST, NORTH, STOP
+from envs.smaclite import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
 
 FULL = os.environ.get("ENVS_FULL") == "1"
 EPISODES = 1_000 if FULL else 100
@@ -298,6 +298,16 @@ def test_a_walk_covers_what_the_speed_allows() -> None:
     x = unit[0].x
     env.step([[STOP, 0, 0]])
     assert unit[0].x == x
+
+
+def test_the_edge_of_the_map() -> None:
+    """It can be walked over where a map has no wall, and then only back; not with -sc2."""
+    for suffix, x in (("", 1.1 - 2.065), ("-sc2", 0)):
+        env = make(f"3s5z{suffix}")
+        unit = put(env, {0: (1.1, 16), 8: (30, 16)})
+        env.step([[WEST] + [0] * 7])
+        assert unit[0].x == pytest.approx(x, abs=1e-4)
+        assert env.action_mask[0, 0, [NORTH, SOUTH, EAST, WEST]].tolist() == [suffix != "", suffix != "", True, False]
 
 
 def test_a_target_may_be_six_away_and_is_seen_below_nine() -> None:
