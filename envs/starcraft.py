@@ -99,9 +99,10 @@ class Env(vector.VectorEnv):
 
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, *, map_name: str) -> None:
         """map_name: of the package. Raises InputError where the package, the game or the map is missing."""
+        self._workers: list[Any] = []  # made first: `close` uses them, also where something is missing
+        self._connections: list[Connection] = []
         require(map_name)
         context = multiprocessing.get_context("spawn")
-        self._workers, self._connections = [], []
         for _ in range(num_envs):
             ours, theirs = context.Pipe()
             worker = context.Process(target=serve, args=(theirs, map_name), daemon=True)
