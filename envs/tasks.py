@@ -4,6 +4,7 @@
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
+    smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
 the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
@@ -18,6 +19,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from envs.smaclite_maps import LITE_MAPS
 
 
 class InputError(ValueError):
@@ -64,6 +67,11 @@ PAPER_TASKS = (
     "mpe-spread",
     "mpe-adversary",
     "mpe-tag",
+    "smaclite-2s_vs_1sc-sc2",  # these five stand for SMAC's, which need StarCraft II
+    "smaclite-3s5z-sc2",
+    "smaclite-MMM2-sc2",
+    "smaclite-corridor-sc2",
+    "smaclite-3s_vs_5z-sc2",
 )
 
 
@@ -288,4 +296,17 @@ def parse_mpe(name: str) -> Task | None:
     return Task(name, "mpe", 20_000_000, 2_000_000, 41, "mpe", settings)
 
 
-PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe)
+def parse_smac(name: str) -> Task | None:
+    """Battles on the maps that our own simulator knows, and, with StarCraft II, on those of SMAC."""
+    match = re.fullmatch("(smaclite|smac)-([0-9A-Za-z_]+)(-sc2)?", name)
+    if match is None or (match[1] == "smac" and match[3]):
+        return None
+    if match[1] == "smac":
+        return Task(name, "smac", 40_000_000, 4_000_000, 41, "starcraft", {"map_name": match[2]})
+    if match[2] not in LITE_MAPS:
+        return None
+    settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
+    return Task(name, "smac", 40_000_000, 4_000_000, 41, "smaclite", settings)
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe, parse_smac)

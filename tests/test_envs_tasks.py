@@ -23,12 +23,13 @@ PAPER = {
     "lbf": ("lbf", 20_000_000, 2_000_000, 41),
     "rware": ("rware", 40_000_000, 4_000_000, 41),
     "mpe": ("mpe", 20_000_000, 2_000_000, 41),
+    "smaclite": ("smac", 40_000_000, 4_000_000, 41),
 }
 
 
 def test_the_papers_tasks() -> None:
     names = envs.task_names()
-    assert len(names) == len(set(names)) == 20 - sum(map(lacks_opponent, ("mpe-adversary", "mpe-tag")))
+    assert len(names) == len(set(names)) == 25 - sum(map(lacks_opponent, ("mpe-adversary", "mpe-tag")))
     for name in names:
         task = envs.task(name)
         assert task.name == name
@@ -40,10 +41,10 @@ def test_names_of_the_papers_table_of_results() -> None:
     table = Path(__file__).parents[1] / "benchmark" / "paper" / "returns.csv"
     with table.open() as lines:
         printed = {line["task"] for line in csv.DictReader(lines)}
-    families = tuple(PAPER)
-    assert {name for name in printed if name.startswith(families) and not lacks_opponent(name)} == set(
-        envs.task_names()
-    )
+    # Our own simulator stands for StarCraft II.
+    expected = {f"smaclite-{name[5:]}-sc2" if name.startswith("smac-") else name for name in printed}
+    assert {name for name in expected if not lacks_opponent(name)} == set(envs.task_names())
+    assert {envs.task(name).family for name in printed if name.startswith("smac-")} == {"smac"}
 
 
 @pytest.mark.parametrize("scenario", ["speaker-listener", "spread", "adversary", "tag"])
@@ -177,6 +178,9 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("mpe-speaker_listener", "mpe-speaker-listener"),
         ("mpe3-tag", "mpe-tag"),
         ("", "-"),
+        ("smaclite-mmm2-sc2", "smaclite-MMM2-sc2"),
+        ("smaclite-4s5z", "smaclite-3s5z-sc2"),
+        ("smac-3s5z-sc2", "smaclite-3s5z-sc2"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
