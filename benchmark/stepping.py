@@ -3,7 +3,8 @@
     python benchmark/stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2] [--output <csv>]
 
 One step is one action of every agent in one sub-environment, observations included; the actions are drawn beforehand,
-and episodes are reset when the time limit comes. The column "paper" is the paper's own figure, from another machine.
+and episodes are reset when the time limit comes. In battles (smaclite, smac) the mask changes and episodes end early,
+so legal actions are drawn, and the finished are reset, as the game goes on; that is a part of the time. The column "paper" is the paper's own figure, from another machine.
 With --output the figures also go to a CSV, where they take the place of those of the same tasks. Pin it to a core:
 `taskset -c 0 python benchmark/stepping.py`.
 """
@@ -45,6 +46,8 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
     """Plays one episode of every sub-environment."""
     env = envs.make(name, num_envs, copy=copy)
     env.reset()
+    if envs.task(name).family == "smac":
+        return battles(env)
     numbers = env.action_mask.sum(axis=2)  # the first ones of each agent
     actions = np.random.default_rng(0).integers(0, numbers, (ACTIONS, num_envs, env.n_agents))
     prepared = itertools.cycle(list(actions))
@@ -54,6 +57,22 @@ def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
         for _ in range(env.episode_limit):
             env.step(next(prepared))
         return num_envs * env.episode_limit
+
+    return play
+
+
+def battles(env: envs.VectorEnv) -> Callable[[], int]:
+    """Plays a hundred steps of every sub-environment with legal actions."""
+    scores = itertools.cycle(list(np.random.default_rng(0).random((ACTIONS, *env.action_mask.shape))))
+
+    def play() -> int:
+        for _ in range(100):
+            actions = (next(scores) * env.action_mask).argmax(axis=2)
+            _, _, terminated, truncated, _ = env.step(actions)
+            ended = terminated | truncated
+            if ended.any():
+                env.reset(options={"reset_mask": ended})
+        return 100 * env.num_envs
 
     return play
 

@@ -6,7 +6,7 @@ from scripts import INDIVIDUAL, NAMES, trained
 
 TASKS = [  # of each family, and what is special in it: unequal agents, opposing teams
     *["matrix-climbing", "lbf-5x5-2p-1f", "rware-tiny-2p", "mpe-speaker-listener", "mpe-spread"],
-    *["mpe-adversary-selfplay", "mpe2-tag-selfplay"],
+    *["mpe-adversary-selfplay", "mpe2-tag-selfplay", "smaclite-2s_vs_1sc-sc2"],
 ]
 
 

@@ -23,7 +23,14 @@ FLAGS = {
     "epsilon_anneal": "epsilon_anneal",
     "actor_regularisation": "actor_regularisation",
 }
-TASK_OF_FAMILY = {"matrix": "matrix-climbing", "lbf": "lbf-15x15-3p-5f", "rware": "rware-tiny-4p", "mpe": "mpe-spread"}
+TASK_OF_FAMILY = {
+    "matrix": "matrix-climbing",
+    "mpe": "mpe-spread",
+    "smac": "smaclite-3s5z-sc2",
+    "lbf": "lbf-15x15-3p-5f",
+    "rware": "rware-tiny-4p",
+}
+BUDGET = {"matrix": 2_500_000, "mpe": 20_000_000, "smac": 40_000_000, "lbf": 20_000_000, "rware": 40_000_000}
 
 
 def source(name):
@@ -104,7 +111,7 @@ def test_defaults_are_the_papers(name, family, sharing):
     for row in paper_rows(name):
         if row["family"] == family and (row["parameter_sharing"] == "yes") == sharing:
             assert args[FLAGS[row["name"]]] == as_flag(row["name"], row["value"])
-    budget = {"matrix": 2_500_000, "lbf": 20_000_000, "rware": 40_000_000, "mpe": 20_000_000}[family]
+    budget = BUDGET[family]
     assert args["total_timesteps"] == (budget if name in ON_POLICY else budget // 10)
     assert args["time_limit"] == ("bootstrap" if name in ON_POLICY else "terminal")
     assert args["eval_points"] == (101 if family == "matrix" else 41)
