@@ -3,10 +3,10 @@
     python benchmark/stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2] [--output <csv>]
 
 One step is one action of every agent in one sub-environment, observations included; the actions are drawn beforehand,
-and episodes are reset when the time limit comes. In battles (smaclite, smac) the mask changes and episodes end early,
-so legal actions are drawn, and the finished are reset, as the game goes on; that is a part of the time. The column "paper" is the paper's own figure, from another machine.
-With --output the figures also go to a CSV, where they take the place of those of the same tasks. Pin it to a core:
-`taskset -c 0 python benchmark/stepping.py`.
+and episodes are reset when the time limit comes. In battles (smaclite, smac) masks change and episodes end early, so
+legal actions are drawn, and the finished are reset, as the game goes on; that is a part of the time. The column "paper"
+is the paper's own figure, from another machine. With --output the figures also go to a CSV, where they take the place
+of those of the same tasks. Pin it to a core: `taskset -c 0 python benchmark/stepping.py`.
 """
 
 from __future__ import annotations
