@@ -546,7 +546,8 @@ class StopSignals:
         self.received: int | None = None
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
+            ignored = name == "SIGHUP" and number and signal.getsignal(number) is signal.SIG_IGN  # by `nohup`
+            if number is not None and not ignored:
                 signal.signal(number, self._note)
 
     def _note(self, number: int, frame: Any) -> None:

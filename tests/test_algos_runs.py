@@ -58,6 +58,8 @@ def main(monkeypatch, capsys, name, *flags):
     monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, flags)])
     numbers = [getattr(signal, signal_name) for signal_name in SIGNALS if hasattr(signal, signal_name)]
     handlers = {number: signal.getsignal(number) for number in numbers}
+    for number in numbers:
+        signal.signal(number, signal.SIG_DFL)  # tests in the background may ignore some of them
     code: object = 0
     try:
         script(name).main()

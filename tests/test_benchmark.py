@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scripts import ROOT, load_module
+from scripts import ROOT
 
 import aggregate
 import claims
@@ -21,6 +21,7 @@ import plots
 import report
 import results
 import tables
+import training
 
 BENCHMARK = ROOT / "benchmark"
 COLUMNS = "point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"
@@ -592,7 +593,7 @@ def test_stepping_keeps_its_figures(tmp_path):
 def run_training(monkeypatch, *flags):
     """benchmark/training.py in this process: a process of its own would spend seconds on importing torch."""
     monkeypatch.setattr(sys, "argv", ["training.py", *flags])
-    load_module(ROOT / "benchmark" / "training.py").main()
+    training.main()
 
 
 @pytest.mark.parametrize(

@@ -541,6 +541,7 @@ class TestView:
         """A table that is redrawn; Ctrl-C reaches the runs once, and they keep their checkpoints."""
         pid, terminal = pty.fork()
         if pid == 0:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background may ignore Ctrl-C
             os.execv(sys.executable, driver(tmp_path, "--seeds", 2, "--jobs", 2, "--", "--pace", "0.1"))
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
         said, pressed, deadline = b"", 0, time.monotonic() + 60
