@@ -120,6 +120,26 @@ def test_statistics_are_copied_too() -> None:
     assert Counting(copy=False).reset()[1]["statistics"]["steps"].dtype == np.float32
 
 
+def test_totals_of_episodes_of_unequal_length() -> None:
+    """They end in steps 2, 3 and 4 and earn 1 in each; what a family reports is taken when an episode ends."""
+    env = Counting()
+    env.teams = (0, 1)
+    env.reset()
+    totals = envs.EpisodeTotals(env)
+    while not totals.ended.all():
+        _, rewards, terminated, truncated, info = env.step(np.zeros((3, 2), int))
+        info["statistics"]["steps"][totals.ended] = 99  # nobody looks at those that wait
+        totals.add(rewards, terminated, truncated, info)
+    means = totals.means()
+    assert means == {
+        "return_mean": 3.0,
+        "return_std": pytest.approx(np.std([2, 3, 4])),
+        "episode_length": 3.0,
+        "team_1_return_mean": 3.0,
+        "steps": 3.0,
+    }
+
+
 def test_one_team_unless_a_family_says_otherwise() -> None:
     assert envs.make("lbf-8x8-3p-2f").teams == (0, 0, 0)
 
