@@ -18,7 +18,8 @@ from typing import Any
 import filelock
 import pandas as pd
 
-from results import RESULTS, read_settings, table_path, write_whole
+from envs import runs
+from results import RESULTS, read_settings, table_path
 
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
 NOT_COMPLETE = "it is not complete"
@@ -116,8 +117,8 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
         text = io.StringIO()
         table.to_csv(text, index=False, lineterminator="\n")
         table_file.parent.mkdir(exist_ok=True)
-        write_whole(table_file, text.getvalue())
-        write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
+        runs.write_whole(table_file, text.getvalue())
+        runs.write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
     return table_file
 
 

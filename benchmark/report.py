@@ -32,6 +32,7 @@ import aggregate
 import claims
 import plots
 import tables
+from envs import runs
 from results import (
     ALGORITHMS,
     FAMILIES,
@@ -46,7 +47,6 @@ from results import (
     our_cells,
     paper_cells,
     speeds,
-    write_whole,
 )
 from search import search_report
 
@@ -344,7 +344,7 @@ def main() -> None:
         for name, draw in report.figures().items():
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():
-            write_whole(path, text)
+            runs.write_whole(path, text)
     except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
         parser.error(str(error))
     print(f"{len(texts)} texts and {len(report.figures())} figures are in {args.output}.")

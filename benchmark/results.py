@@ -14,7 +14,6 @@ The names are for people; programs read the JSON. A seed counts once the JSON li
 
 import hashlib
 import json
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -90,20 +89,6 @@ def has_seed(results: Path, algorithm: str, task: str, sharing: bool, changed: d
     """Whether the results hold this run; `changed` as its config.json would have it."""
     settings = read_settings(table_path(results, algorithm, task, sharing, changed))
     return str(seed) in settings["seeds"] and settings["changed"] == changed
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Writes a file whole or not at all. Raises OSError, as on a full disk, and then leaves what was there."""
-    new = path.with_name(f"{path.name}.new")
-    try:
-        with open(new, "w", newline="\n", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(new, path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
 
 
 def load(results: Path = RESULTS) -> pd.DataFrame:

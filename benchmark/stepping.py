@@ -24,7 +24,7 @@ import pandas as pd
 
 import envs
 from envs import runs
-from results import PAPER, paper_task, write_whole
+from results import PAPER, paper_task
 
 ACTIONS = 1000  # joint actions drawn beforehand
 DEFAULT_TASKS = ["matrix-climbing", "lbf-8x8-2p-2f-c", "lbf-15x15-3p-5f", "rware-tiny-4p"]
@@ -153,7 +153,7 @@ def keep(path: Path, task: str, speeds: dict[str, float]) -> None:
     if path.exists():
         there = pd.read_csv(path)
         rows = pd.concat([there[there["task"] != task], rows])
-    write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
+    runs.write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def original_mpe(name: str) -> Callable[[], int] | None:

@@ -187,10 +187,20 @@ OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluation
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Writes a text file whole or not at all: whoever reads it finds the old text or the new one."""
+    """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
+
+    Raises OSError, on a full disk for example, and then leaves what was there.
+    """
     new = path.with_name(f"{path.name}.new")
-    new.write_text(text)
-    new.replace(path)
+    try:
+        with open(new, "w", newline="\n", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
 
 
 def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:

@@ -125,12 +125,10 @@ class TestDirectory:
         self.save(directory, self.rows)
         before = (tmp_path / "run" / "evaluations.csv").read_bytes()
 
-        def full_disk(path: Path, text: str) -> None:
-            with open(path, "w") as file:
-                file.write(text[:3])
+        def full_disk(file: int) -> None:
             raise OSError("No space left on device")
 
-        monkeypatch.setattr(Path, "write_text", full_disk)
+        monkeypatch.setattr(os, "fsync", full_disk)
         with pytest.raises(OSError, match="No space"):
             self.save(directory, [*self.rows, {"point": 1, "timestep": 9, "return_mean": 0.0}])
         assert (tmp_path / "run" / "evaluations.csv").read_bytes() == before
