@@ -261,7 +261,7 @@ def step_all(
     random, steps, score, agent, target, loading, food, food_left, food_total,
     observations, agent_rewards, rewards, terminated, truncated,
     rows, columns, sight, cooperative, version,
-    action_mask, actions,
+    action_mask, actions, playing,
 ):  # fmt: skip
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
@@ -271,11 +271,8 @@ def step_all(
         observations, agent_rewards, rewards, terminated, truncated,
     )  # fmt: skip
     config = Config(rows, columns, sight, cooperative, version)
-    for e in range(len(rewards)):
-        if terminated[e] or truncated[e]:
-            agent_rewards[e, :] = 0
-            rewards[e] = 0
-        else:
+    for e in range(len(playing)):
+        if playing[e]:
             step_env(state, config, e, actions)
             observe_env(state, config, e)
     return -1
@@ -338,9 +335,9 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`."""
         reset_all(*self._arguments, mask, seed, episodes)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        return step_all(*self._step_arguments, actions)
+        return step_all(*self._step_arguments, actions, playing)
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
         """The board of one sub-environment: agents by number and colour, levels in the small discs, foods as apples.

@@ -61,16 +61,13 @@ def reset_all(steps, agent_rewards, truncated, mask):
 
 
 @compiled
-def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, actions):
+def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, actions, playing):
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
         return refused
     state = State(steps, agent_rewards, truncated)
-    for e in range(len(rewards)):
-        if truncated[e]:
-            agent_rewards[e, :] = 0
-            rewards[e] = 0
-        else:
+    for e in range(len(playing)):
+        if playing[e]:
             step_env(state, payoff, e, actions)
             rewards[e] = (agent_rewards[e, 0] + agent_rewards[e, 1]) / 2
     return -1
@@ -92,6 +89,6 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`; there is nothing random in these games."""
         reset_all(*self._arrays, mask)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        return step_all(*self._step_arrays, actions)
+        return step_all(*self._step_arrays, actions, playing)

@@ -441,7 +441,7 @@ def step_all(
     observations, agent_rewards, rewards, truncated,
     scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
     velocity_first, direction, squared, summed, self_contact, share,
-    action_mask, actions,
+    action_mask, actions, playing,
 ):  # fmt: skip
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
@@ -455,11 +455,8 @@ def step_all(
         scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius,
         landmark_range, velocity_first, direction, squared, summed, self_contact, share,
     )  # fmt: skip
-    for e in range(len(rewards)):
-        if truncated[e]:
-            agent_rewards[e, :] = 0
-            rewards[e] = 0
-        else:
+    for e in range(len(playing)):
+        if playing[e]:
             act_env(state, config, e, actions)
             move_env(state, config, e)
             reward_env(state, config, e)
@@ -685,9 +682,8 @@ class Env(vector.VectorEnv):
             high=np.inf,
             statistics=game.statistics,
             teams=[game.teams[i] for i in learning],
+            choices=[game.n_actions[i] for i in learning],
         )
-        for i, agent in enumerate(learning):
-            self.action_mask[:, i, game.n_actions[agent] :] = False
         unused = np.zeros(num_envs, np.float32)
         self.game = State(
             random=np.zeros(num_envs, np.uint64),
@@ -743,9 +739,9 @@ class Env(vector.VectorEnv):
             self.memory[mask] = 0
             decide_all(*self._opponent_arguments, ~mask)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        refused = step_all(*self._step_arguments, actions)
+        refused = step_all(*self._step_arguments, actions, playing)
         if self.config.opponent >= 0 and refused < 0:
             decide_all(*self._opponent_arguments, self.truncated)
         return refused

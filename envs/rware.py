@@ -346,7 +346,7 @@ def step_all(
     random, steps, agent, shelf, cell, sensed, plan,
     observations, agent_rewards, rewards, truncated, deliveries, collisions,
     rows, columns, n_requests, sight,
-    action_mask, actions,
+    action_mask, actions, playing,
 ):  # fmt: skip
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
@@ -356,11 +356,8 @@ def step_all(
         observations, agent_rewards, rewards, truncated, deliveries, collisions,
     )  # fmt: skip
     config = Config(rows, columns, n_requests, sight)
-    for e in range(len(rewards)):
-        if truncated[e]:
-            agent_rewards[e, :] = 0
-            rewards[e] = 0
-        else:
+    for e in range(len(playing)):
+        if playing[e]:
             step_env(state, config, e, actions)
             observe_env(state, config, e)
     return -1
@@ -424,9 +421,9 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`."""
         reset_all(*self._arguments, mask, seed, episodes)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        return step_all(*self._step_arguments, actions)
+        return step_all(*self._step_arguments, actions, playing)
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
         """The warehouse of one sub-environment: agents by number and colour, each with a lamp in front.

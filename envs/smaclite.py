@@ -975,15 +975,12 @@ def reset_all(state, config, mask, seed, episodes):
 
 
 @compiled
-def step_all(state, config, actions):
+def step_all(state, config, actions, playing):
     refused = forbidden_action(actions, state.action_mask)
     if refused >= 0:
         return refused
-    for e in range(len(state.rewards)):
-        if state.terminated[e] or state.truncated[e]:
-            state.agent_rewards[e, :] = 0
-            state.rewards[e] = 0
-        else:
+    for e in range(len(playing)):
+        if playing[e]:
             step_env(state, config, e, actions)
             observe_env(state, config, e)
     return -1
@@ -991,8 +988,6 @@ def step_all(state, config, actions):
 
 class Env(vector.VectorEnv):
     """A battle; see the module's docstring."""
-
-    can_draw = True
 
     can_draw = True
 
@@ -1096,9 +1091,9 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`."""
         reset_all(self.game, self.config, mask, seed, episodes)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        return step_all(self.game, self.config, actions)
+        return step_all(self.game, self.config, actions, playing)
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
         """The map of one sub-environment: units as discs with the letter of their type, allies blue, enemies red.

@@ -136,21 +136,14 @@ class Env(vector.VectorEnv):
             self._connections[e].send(("reset", None))
         self._receive(playing)
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
-        exists = (actions >= 0) & (actions < self.n_actions)
-        chosen = np.where(exists, actions, 0)[:, :, None]
-        allowed = exists & np.take_along_axis(self.action_mask, chosen, axis=2)[:, :, 0]
-        if not allowed.all():
-            return int(np.argmin(allowed))
-        finished = self.terminated | self.truncated
-        self.rewards[finished] = 0
-        self.agent_rewards[finished] = 0
-        playing = np.flatnonzero(~finished)
-        for e in playing:
-            self._connections[e].send(("step", actions[e].tolist()))
-        self._receive(playing)
-        return -1
+        refused = vector.forbidden_action(actions, self.action_mask)
+        if refused < 0:
+            for e in np.flatnonzero(playing):
+                self._connections[e].send(("step", actions[e].tolist()))
+            self._receive(np.flatnonzero(playing))
+        return refused
 
     def close_extras(self, **_: Any) -> None:
         """End the games and their processes; `close` calls it."""

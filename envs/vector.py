@@ -14,6 +14,8 @@
     info["statistics"]     dict of float32 [num_envs]                what a family reports about an episode besides its
                                                                      return; valid where an episode has just ended
     env.teams              for each agent the number of its team; all 0 in cooperative tasks
+    env.choices            for each agent the number of its own actions; where they are fewer than n_actions, the mask
+                           forbids the rest
 
 Nothing resets by itself (Gymnasium's autoreset mode DISABLED). A finished sub-environment stands still, with reward 0
 and its flag up, until a reset: of all sub-environments, or of those that options["reset_mask"] (bool [num_envs]) names.
@@ -51,8 +53,32 @@ from envs.tasks import InputError
 Info = dict[str, Any]
 
 
+def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
+    """The random generator of an episode of sub-environment `index`, for rules that are not compiled."""
+    return np.random.default_rng([seed, index, episode])
+
+
+def episode_seed(seed: int, index: int, episode: int) -> int:
+    """What an episode of sub-environment `index` is seeded with where its generator is not ours: 0 .. 2^31 - 1."""
+    return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0] >> 1)
+
+
+def forbidden_action(actions: NDArray[np.int64], action_mask: NDArray[np.bool_]) -> int:
+    """Index (sub-environment times agents plus agent) of the first action that may not be taken, or -1.
+
+    actions: [env, agent]; action_mask: [env, agent, action]. `envs.kernels` has the same for compiled rules.
+    """
+    exists = (actions >= 0) & (actions < action_mask.shape[2])
+    chosen = np.where(exists, actions, 0)[:, :, None]
+    allowed = exists & np.take_along_axis(action_mask, chosen, axis=2)[:, :, 0]
+    return -1 if allowed.all() else int(allowed.argmin())
+
+
 class VectorEnv(GymnasiumVectorEnv):
-    """What all families share. A family fills the arrays in `reset_envs` and `step_envs`.
+    """What all families share. A family fills the arrays, in one of two ways.
+
+    Game by game, in plain Python: it overrides `reset_env` and `step_env`. All at once, by compiled rules for example:
+    it overrides `reset_envs` and `step_envs`.
 
     name, num_envs, n_agents, n_actions, obs_size, state_size, episode_limit: the task and its sizes.
     seed: the seed in use. episode: the number of episodes begun so far, which is all that a checkpoint must keep.
@@ -77,10 +103,12 @@ class VectorEnv(GymnasiumVectorEnv):
         state_size: int | None = None,
         statistics: Sequence[str] = (),
         teams: Sequence[int] | None = None,
+        choices: Sequence[int] | None = None,
     ) -> None:
         """low, high: the bounds of an observation's values. state_size: None if the state consists of the observations.
 
         statistics: the names of the entries of `self.statistics`. teams: None if all agents belong to one team.
+        choices: None if each agent has n_actions actions.
         """
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
@@ -90,9 +118,10 @@ class VectorEnv(GymnasiumVectorEnv):
         self.episode_limit = episode_limit
 
         self.single_observation_space = Box(low, high, (n_agents, obs_size), np.float32)
-        self.single_action_space = MultiDiscrete([n_actions] * n_agents)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.choices = tuple(choices) if choices is not None else (n_actions,) * n_agents
+        self.single_action_space = MultiDiscrete(np.array(self.choices))
+        self.action_space = MultiDiscrete(np.tile(self.choices, (num_envs, 1)))  # batch_space would forget the choices
 
         self.observations = np.zeros((num_envs, n_agents, obs_size), np.float32)
         self.rewards = np.zeros(num_envs, np.float32)
@@ -100,6 +129,7 @@ class VectorEnv(GymnasiumVectorEnv):
         self.truncated = np.zeros(num_envs, np.bool_)
         self.agent_rewards = np.zeros((num_envs, n_agents), np.float32)
         self.action_mask = np.ones((num_envs, n_agents, n_actions), np.bool_)
+        self.action_mask[:] = np.arange(n_actions) < np.array(self.choices)[:, None]
         self.statistics = {name: np.zeros(num_envs, np.float32) for name in statistics}
         self.teams = tuple(teams) if teams is not None else (0,) * n_agents
         self.state_is_observations = state_size is None
@@ -110,6 +140,10 @@ class VectorEnv(GymnasiumVectorEnv):
         self._shape = (num_envs, n_agents)
         self._begun = np.zeros(num_envs, np.bool_)
         self._ready = False
+        self._playing = np.ones(num_envs, np.bool_)  # those that have not finished
+        self._some_stand = False
+        self._flags = b""
+        self._generators = [np.random.default_rng(0)] * num_envs  # of families in plain Python, made at each reset
         self._set_seed(seed)
 
     def _connect(self) -> None:
@@ -130,16 +164,34 @@ class VectorEnv(GymnasiumVectorEnv):
         self.__dict__.update(attributes)
         self._connect()
 
-    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
-        """Begin episode episodes[i] in each sub-environment i of the mask; flags and rewards are already cleared."""
-        raise NotImplementedError
+    def reset_env(self, e: int, rng: np.random.Generator) -> None:
+        """Begin an episode in sub-environment e; its flags and rewards are already cleared.
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
-        """Step each sub-environment that has not finished. If any action is forbidden, do nothing.
-
-        Returns the index (sub-environment times n_agents plus agent) of the first forbidden action, or -1.
+        All that is random in this episode, here and in `step_env`, must come from rng.
         """
         raise NotImplementedError
+
+    def step_env(self, e: int, actions: NDArray[np.int64], rng: np.random.Generator) -> None:
+        """Let the agents of sub-environment e, which has not finished, take these allowed actions, [agent]."""
+        raise NotImplementedError
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """Begin episode episodes[i] in each sub-environment i of the mask; flags and rewards are already cleared."""
+        for e in np.flatnonzero(mask).tolist():
+            self._generators[e] = episode_generator(int(seed), e, int(episodes[e]))
+            self.reset_env(e, self._generators[e])
+
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
+        """Step each sub-environment of the mask `playing`, those that have not finished, and leave the others alone.
+
+        If any action is forbidden, also one of a sub-environment that has finished, do nothing.
+        Returns the index (sub-environment times n_agents plus agent) of the first forbidden action, or -1.
+        """
+        refused = forbidden_action(actions, self.action_mask)
+        if refused < 0:
+            for e in np.flatnonzero(playing).tolist():
+                self.step_env(e, actions[e], self._generators[e])
+        return refused
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
         """A picture, uint8 [height, width, 3], of one sub-environment. Families with `can_draw` override this."""
@@ -185,6 +237,7 @@ class VectorEnv(GymnasiumVectorEnv):
         self.terminated[mask] = False
         self.truncated[mask] = False
         self.reset_envs(mask, self._seed, self._episodes)
+        self._look_at_flags()
         self._episodes[mask] += 1
         if not self._ready:
             self._begun |= mask
@@ -209,10 +262,22 @@ class VectorEnv(GymnasiumVectorEnv):
             or not actions.flags.c_contiguous
         ):
             actions = self._as_actions(actions)
-        refused = self.step_envs(actions)
+        refused = self.step_envs(actions, self._playing)
         if refused >= 0:
             raise self._refusal(actions, refused)
+        if self._some_stand:
+            self.rewards[~self._playing] = 0
+            self.agent_rewards[~self._playing] = 0
+        self._look_at_flags()
         return self._outcome()
+
+    def _look_at_flags(self) -> None:
+        """Bring up to date which sub-environments play and which stand still."""
+        flags = self.terminated.tobytes() + self.truncated.tobytes()
+        if flags != self._flags:  # most steps end no episode, and comparing bytes is fast
+            self._flags = flags
+            self._playing = ~(self.terminated | self.truncated)
+            self._some_stand = not self._playing.all()
 
     def _outcome(self) -> tuple[Any, Any, Any, Any, Info]:
         """The five results of a step: the arrays themselves, or copies of them that the caller may keep."""

@@ -600,8 +600,8 @@ class Opponents(matrix.Env):
         self._step_arrays = (*self._step_arrays[:-1], self.PAYOFF)
         self.teams = (0, 1)
 
-    def step_envs(self, actions):
-        refused = super().step_envs(actions)  # the team's reward remains the row's
+    def step_envs(self, actions, playing):
+        refused = super().step_envs(actions, playing)  # the team's reward remains the row's
         self.agent_rewards[:, 1] *= -1
         return refused
 

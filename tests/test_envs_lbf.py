@@ -181,8 +181,8 @@ def test_clearing_the_board_in_the_last_step_is_a_termination() -> None:
     _, rewards, terminated, truncated, info = env.step([[5, 5]])
     assert (rewards[0], terminated[0], truncated[0]) == (1, True, False)
     assert info["agent_rewards"].tolist() == [[1, 0]]
+    env.reset()
     place(env, 0, [(0, 1), (4, 4)], [1, 2], field)
-    env.terminated[0] = False
     env.game.steps[0] = 49
     _, rewards, terminated, truncated, _ = env.step([[5, 5]])
     assert (rewards[0], terminated[0], truncated[0]) == (0, False, True)

@@ -17,6 +17,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 import envs
+from envs.vector import forbidden_action
 
 TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")
 
@@ -48,17 +49,15 @@ class Counting(envs.VectorEnv):
         self.state[mask] = 0
         self.action_mask[mask, 1, 2] = True
 
-    def step_envs(self, actions: NDArray[np.int64]) -> int:
-        within = (actions >= 0) & (actions < 3)
-        fine = within & np.take_along_axis(self.action_mask, actions.clip(0, 2)[:, :, None], 2)[:, :, 0]
-        if not fine.all():
-            return int(np.argmin(fine))
-        going = ~(self.terminated | self.truncated)
-        self.state[going] += 1
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
+        refused = forbidden_action(actions, self.action_mask)
+        if refused >= 0:
+            return refused
+        self.state[playing] += 1
         self.observations[:] = self.state[:, None]
         self.action_mask[:, 1, 2] = self.state[:, 0] % 2 == 0
-        self.rewards[:] = going
-        self.agent_rewards[:] = going[:, None]
+        self.rewards[:] = 1
+        self.agent_rewards[:] = 1
         self.terminated |= self.state[:, 0] == np.arange(self.num_envs) + 2
         self.statistics["steps"][:] = self.state[:, 0]
         return -1
