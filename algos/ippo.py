@@ -68,6 +68,10 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
+    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
+    flatten_images: bool = False  # make vectors of its images
+    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
     num_envs: int = 10  # environments side by side; a batch is one episode of each
@@ -386,7 +390,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
-    env = envs.make(args.env, args.num_envs, args.seed, copy=False)
+    env = envs.make_for(args, args.num_envs, args.seed)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     critic = MultiAgentNetwork(args, env.n_agents, env.obs_size, 1)
@@ -434,14 +438,13 @@ class Run:
         self.updates = 0
         self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
+        self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
         self.directory = runs.RunDirectory(__file__, args, paper)
         saved = self.directory.checkpoint()
         if saved is not None:
             with runs.fitting_checkpoint(self.directory.path):
                 self.restore(saved)
-        self.saved_at = self.timestep if saved else -1
         self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
         self.signals = runs.StopSignals()
 
@@ -466,7 +469,6 @@ class Run:
             updates=self.updates,
             budget=self.budget,
         )
-        self.saved_at = self.timestep
 
     def evaluate_if_due(self) -> None:
         """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
@@ -493,7 +495,7 @@ class Run:
 
     def complete(self) -> None:
         """Saves the end of the training, and deletes what only a running run needs."""
-        if self.saved_at < self.timestep:
+        if self.rows[-1]["timestep"] < self.timestep:
             self.save()
         self.directory.complete()
         self.log.close()
@@ -522,7 +524,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 def watch(args: Args) -> None:
     """Plays what was trained, prints the results and films the first episodes."""
     team = load(args.watch, args.seed)
-    env = envs.make(team.args.env, args.eval_episodes)
+    env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
     print(envs.film(env, team, Path(args.watch, "film.gif")))
 

@@ -12,15 +12,13 @@ slowly moving copies; mu' takes the likeliest action.
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
     L(actor)  = mean over agents and steps of - Q_i(s_t, (a_i, a_-i)) + c mean_a logit_i(a)^2
 
-Where the episode ended, y_i,t is only r_t. In L(actor) all actions are drawn from the present
-policies, a_i with a gradient and the others' a_-i without; c is --actor-regularisation, which keeps
-the policies from becoming certain too early.
+Where the episode ended, y_i,t is only r_t. In L(actor) the present policies draw all actions, a_i
+with a gradient and a_-i without; c, --actor-regularisation, keeps them from becoming certain early.
 
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
-(2017). Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning
-Algorithms in Cooperative Tasks" (2021). As in that paper a time-out counts as an end. Its code left
-out the steps that end an episode, trained on padding, and began the target network's GRU one step
-late. We do not, and in foraging our results are better than its tables.
+(2017). Hyperparameters: Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out
+counts as an end. Its code left out the steps that end an episode, trained on padding, and began the
+target network's GRU one step late. We do not; in foraging our results are better than its tables.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0
@@ -66,6 +64,10 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
+    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
+    flatten_images: bool = False  # make vectors of its images
+    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 2_000_000  # length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
@@ -397,7 +399,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
-    env = envs.make(args.env, 1, args.seed, copy=False)
+    env = envs.make_for(args, 1, args.seed)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     seen = env.state_size + env.n_agents * env.n_actions
@@ -455,14 +457,13 @@ class Run:
         self.updates = 0
         self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
+        self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
         self.directory = runs.RunDirectory(__file__, args, paper)
         saved = self.directory.checkpoint()
         if saved is not None:
             with runs.fitting_checkpoint(self.directory.path):
                 self.restore(saved)
-        self.saved_at = self.timestep if saved else -1
         self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
         self.signals = runs.StopSignals()
 
@@ -487,7 +488,6 @@ class Run:
             updates=self.updates,
             budget=self.budget,
         )
-        self.saved_at = self.timestep
 
     def evaluate_if_due(self) -> None:
         """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
@@ -514,7 +514,7 @@ class Run:
 
     def complete(self) -> None:
         """Saves the end of the training, and deletes what only a running run needs."""
-        if self.saved_at < self.timestep:
+        if self.rows[-1]["timestep"] < self.timestep:
             self.save()
         self.directory.complete()
         self.log.close()
@@ -543,7 +543,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 def watch(args: Args) -> None:
     """Plays what was trained, prints the results and films the first episodes."""
     team = load(args.watch, args.seed)
-    env = envs.make(team.args.env, args.eval_episodes)
+    env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
     print(envs.film(env, team, Path(args.watch, "film.gif")))
 

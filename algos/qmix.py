@@ -2,23 +2,21 @@
 
 Every agent learns the value Q_i of its own actions. A mixing network turns these into the value of
 what the team does together. Its weights are made from the state of the game and are never negative,
-so the mix never falls where one agent's value rises. The idea: the actions that are best for each
-agent are together best for the team, and nobody has to search all joint actions. One environment
-plays one episode, in which each agent takes its best action or, with probability epsilon, any. Then
-one gradient step is made on a batch of whole episodes from the replay. Q' and Mix' are older or
-slowly moving copies: targets that do not run away from the networks that learn them.
+so the mix never falls where one agent's value rises: what is best for each agent is together best
+for the team, and nobody has to search all joint actions. One environment plays one episode, in
+which each agent takes its best action or, with probability epsilon, any. Then one gradient step is
+made on a batch of whole episodes from the replay. Q' and Mix' are older or slowly moving copies.
 
     Mix(q; s) = |w2(s)| . elu(|W1(s)| q + b1(s)) + b2(s)
     y_t       = r_t + gamma Mix'(Q'_1(o_1,t+1, a*_1,t+1), ..., Q'_n(o_n,t+1, a*_n,t+1); s_t+1)
     L         = mean over steps of (y_t - Mix(Q_1(o_1,t, a_1,t), ..., Q_n(o_n,t, a_n,t); s_t))^2
 
 Where the episode ended, y_t is only r_t. Q chooses the next actions a*, its best; Q' and Mix' value
-them (double Q-learning). There are no individual rewards, since one value is learned for the team.
+them (double Q-learning). Only the team's value is learned, so there are no individual rewards.
 
-Algorithm: Rashid et al., "QMIX: Monotonic Value Function Factorisation for Deep Multi-Agent
-Reinforcement Learning" (2018). Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep
-Reinforcement Learning Algorithms in Cooperative Tasks" (2021). As in that paper a time-out counts
-as an end. Unlike in its code, padding does not count when rewards are standardised.
+Algorithm: Rashid et al., "QMIX: Monotonic Value Function Factorisation" (2018). Hyperparameters:
+Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out counts as an end. Unlike in
+its code, padding does not count when rewards are standardised.
 
     python algos/qmix.py --env lbf-8x8-2p-2f-c
     python algos/qmix.py --watch runs/lbf-8x8-2p-2f-c/qmix-shared/seed0
@@ -65,6 +63,10 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
+    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
+    flatten_images: bool = False  # make vectors of its images
+    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 2_000_000  # length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
@@ -396,7 +398,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
-    env = envs.make(args.env, 1, args.seed, copy=False)
+    env = envs.make_for(args, 1, args.seed)
     envs.check_one_team(env, args.individual_rewards, "QMIX learns one value for the team")
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     mixer = Mixer(env.n_agents, env.state_size).to(args.device)
@@ -455,14 +457,13 @@ class Run:
         self.updates = 0
         self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = envs.make(args.env, args.eval_episodes, copy=False)
+        self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
         self.directory = runs.RunDirectory(__file__, args, paper)
         saved = self.directory.checkpoint()
         if saved is not None:
             with runs.fitting_checkpoint(self.directory.path):
                 self.restore(saved)
-        self.saved_at = self.timestep if saved else -1
         self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
         self.signals = runs.StopSignals()
 
@@ -487,7 +488,6 @@ class Run:
             updates=self.updates,
             budget=self.budget,
         )
-        self.saved_at = self.timestep
 
     def evaluate_if_due(self) -> None:
         """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
@@ -514,7 +514,7 @@ class Run:
 
     def complete(self) -> None:
         """Saves the end of the training, and deletes what only a running run needs."""
-        if self.saved_at < self.timestep:
+        if self.rows[-1]["timestep"] < self.timestep:
             self.save()
         self.directory.complete()
         self.log.close()
@@ -543,7 +543,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 def watch(args: Args) -> None:
     """Plays what was trained, prints the results and films the first episodes."""
     team = load(args.watch, args.seed)
-    env = envs.make(team.args.env, args.eval_episodes)
+    env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
     print(envs.film(env, team, Path(args.watch, "film.gif")))
 

@@ -164,18 +164,18 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect = timed(module.collect, parts, "acting", timer)
     module.update = timed(module.update, parts, "update", timer)
-    make = module.envs.make
+    make = module.envs.make_for
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
         env = make(*args, **kwargs)
         env.step = timed(env.step, parts, "step", timer)
         return env
 
-    module.envs.make = make_timed
+    module.envs.make_for = make_timed
     with tempfile.TemporaryDirectory() as directory:
         clock = module.Run = Clock(module, seconds, Path(directory), timer)
         module.train(args)
-    module.envs.make = make
+    module.envs.make_for = make
     rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
     acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])

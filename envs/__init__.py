@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import importlib
 import os
+from collections.abc import Mapping
 from typing import Any
 
+from envs.foreign import import_module, parse_kwargs
 from envs.runs import optional
 from envs.tasks import InputError, Task, task, task_names
 from envs.vector import EpisodeTotals, VectorEnv, check_one_team, check_teams
@@ -26,30 +28,87 @@ __all__ = [
     "check_teams",
     "film",
     "make",
+    "make_for",
     "optional",
     "task",
     "task_names",
 ]
 
 
-def make(name: str, num_envs: int = 1, seed: int = 0, copy: bool = True) -> VectorEnv:
+def make(
+    name: str,
+    num_envs: int = 1,
+    seed: int = 0,
+    copy: bool = True,
+    *,
+    env_kwargs: str | Mapping[str, Any] = "",
+    max_episode_steps: int = 0,
+    flatten_images: bool = False,
+    env_workers: int = 0,
+    pictures: bool = False,
+) -> VectorEnv:
     """Build num_envs sub-environments of a task.
 
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
     copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
+
+    For pettingzoo: and gymnasium: environments (see `envs.foreign`):
+    env_kwargs: keyword arguments of the environment, as a mapping or as they stand in a call; also for own: ones.
+    max_episode_steps: episodes are cut after so many steps; 0: by the environment's own clock.
+    flatten_images: make vectors of observations that are images.
+    env_workers: the number of processes in which the sub-environments are played; 0: this process.
+    pictures: build them so that they can draw themselves, where they can.
+
     Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
     or seed out of range.
     """
     described = task(name)
-    module = importlib.import_module(f"envs.{described.module}")
+    options: dict[str, Any] = {}
+    if env_kwargs:
+        options["env_kwargs"] = parse_kwargs(env_kwargs) if isinstance(env_kwargs, str) else dict(env_kwargs)
+    if max_episode_steps:
+        options["max_episode_steps"] = max_episode_steps
+    if flatten_images:
+        options["flatten_images"] = True
+    if env_workers:
+        options["env_workers"] = env_workers
+
+    if name.startswith("own:"):
+        module = import_module(name, described.module)
+        if not hasattr(module, "Env"):
+            raise InputError(f"{name}: the module {described.module} has no class Env.")
+        given = options.pop("env_kwargs", {})
+    else:
+        module = importlib.import_module(f"envs.{described.module}")
+        given = {}
+    if described.module == "foreign":
+        options["pictures"] = pictures
+    elif options:
+        flag = next(iter(options)).replace("_", "-")
+        raise InputError(f"--{flag} is for environments of PettingZoo and Gymnasium; {name} has its own rules.")
     too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
     if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
         raise too_large
     try:
-        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings)
+        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options, **given)
     except MemoryError:
         raise too_large from None
     return env
+
+
+def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) -> VectorEnv:
+    """The environment that a script's flags name, with copy=False."""
+    return make(
+        args.env,
+        num_envs,
+        seed,
+        copy=False,
+        env_kwargs=args.env_kwargs,
+        max_episode_steps=args.max_episode_steps,
+        flatten_images=args.flatten_images,
+        env_workers=args.env_workers,
+        pictures=pictures,
+    )
 
 
 def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:

@@ -51,7 +51,8 @@ Flags = TypeVar("Flags")  # the Args of a script
 # Flags
 # ---------------------------------------------------------------------------------------------------------------------
 
-OF_ONE_RUN = {"seed", "device", "threads", "run_dir", "resume", "watch", "track"}  # they say nothing of the setting
+# These say nothing of the setting
+OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
 NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # a run may grow, and be looked at more often
 
@@ -71,6 +72,8 @@ WEIGHT = Range(0, 10**18)
 RANGES = {
     "seed": Range(0, 2**63 - 1),
     "total_timesteps": COUNT,
+    "max_episode_steps": Range(0, 10**9),
+    "env_workers": Range(0, 10_000),
     "hidden_dim": Range(1, 16_384),
     "learning_rate": WEIGHT,
     "gamma": PROBABILITY,

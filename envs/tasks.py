@@ -5,6 +5,8 @@
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
     smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
+    pettingzoo:<module>  gymnasium:<id>                environments that are not ours; see `envs.foreign`
+    own:<module>                                       a class `Env` of yours, by the contract in `envs.vector`
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
 the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
@@ -16,7 +18,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,11 @@ class InputError(ValueError):
 class Task:
     """A task: its name, what the paper says about it, and how its environment is built.
 
-    family: the family of the paper whose hyperparameters apply (matrix, mpe, smac, lbf, rware).
+    family: the family of the paper whose hyperparameters apply (matrix, mpe, smac, lbf, rware), or "".
     on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
     eval_points: the number of evaluations in a run, including the one before training.
-    module, settings: the module of this package that plays the task, and keyword arguments for its environment.
+    module, settings: the module that plays the task, and keyword arguments for its environment. The module is one of
+        this package, but for own:<module>.
     """
 
     name: str
@@ -309,4 +312,33 @@ def parse_smac(name: str) -> Task | None:
     return Task(name, "smac", 40_000_000, 4_000_000, 41, "smaclite", settings)
 
 
-PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe, parse_smac)
+# Packages that the paper's tasks come from, and one of these tasks
+KNOWN_PACKAGES = {
+    "matrixgames": "matrix-climbing",
+    "lbforaging": "lbf-8x8-2p-2f-c",
+    "rware": "rware-tiny-2p",
+    "mpe2?|simple_": "mpe-spread",
+    "smac": "smaclite-3s5z-sc2",
+}
+STEPS = (20_000_000, 2_000_000, 41)  # budgets on and off policy, and evaluations, where the paper says nothing
+
+
+def parse_foreign(name: str) -> Task | None:
+    """Environments of PettingZoo and Gymnasium; those of the paper's families take their hyperparameters."""
+    match = re.fullmatch("(pettingzoo|gymnasium):(.+)", name)
+    if match is None:
+        return None
+    settings = {"interface": match[1], "target": match[2]}
+    for package, known in KNOWN_PACKAGES.items():
+        if re.search(rf"(?:^|[.:/])(?:{package})", match[2]):
+            return replace(task(known), name=name, module="foreign", settings=settings)
+    return Task(name, "", *STEPS, "foreign", settings)
+
+
+def parse_own(name: str) -> Task | None:
+    """A user's module with a class `Env`."""
+    match = re.fullmatch(r"own:([\w.]+)", name)
+    return Task(name, "", *STEPS, match[1], {}) if match else None
+
+
+PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe, parse_smac, parse_foreign, parse_own)

@@ -1,0 +1,474 @@
+"""Environments that are not ours: any from PettingZoo, and those of Gymnasium in which one or several agents act.
+
+    pettingzoo:<module>      a module with a function `parallel_env`, such as pettingzoo:mpe2.simple_spread_v3
+    gymnasium:<id>           such as gymnasium:lbforaging:Foraging-8x8-2p-3f-v3
+
+Modules are looked for among the installed ones and in the current folder. The environment is built with the keyword
+arguments `env_kwargs`. Actions must be discrete and observations vectors; images become vectors only with
+`flatten_images`. In Gymnasium a tuple of action spaces means several agents, and a single one means one agent.
+
+What the contract in `envs.vector` asks for is made as follows:
+
+    observations   padded at the end with zeros to the largest agent. Zeros alone for an agent that has left the game
+    action_mask    from the observation ({"observation": .., "action_mask": ..}) or from the info. It forbids what an
+                   agent with fewer actions than another lacks. Agents that have left may only take action 0
+    agent_rewards  as the environment gives them. Where it has one reward for all, each agent has that
+    rewards        the sum of the agents' rewards, as in the paper, or the one reward for all. Where the environment
+                   has an attribute `teams` (a number for each agent), the sum over team 0
+    state          what the environment's function `state` returns; otherwise the agents' observations
+    terminated     the last agents have left, and the clock is not the reason
+    truncated      the clock is the reason, for at least one of the last agents. The clock is the environment's own or
+                   `max_episode_steps`, whichever is first
+
+The packages lbforaging and rware call the end of their clock a termination. So where an environment of Gymnasium counts
+its steps itself, an end in the last of these steps is a truncation here.
+
+The seed of each episode's `reset` is derived from (seed, sub-environment, number of the episode). So the same seed
+plays the same episodes, and a resumed run goes on exactly, if the environment draws everything from that seed.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from envs import vector
+from envs.tasks import InputError
+from envs.workers import Games
+
+# Where environments keep the number of steps after which they end an episode
+CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")
+
+
+class Source(NamedTuple):
+    """What an environment is built from."""
+
+    name: str  # of the task
+    target: str  # the module, or Gymnasium's id
+    kwargs: Mapping[str, Any]
+    max_episode_steps: int  # 0: the environment's own clock
+    flatten_images: bool
+    pictures: bool  # whether it shall be able to draw itself
+
+
+class Outcome(NamedTuple):
+    """What a reset or a step of one sub-environment leads to."""
+
+    observations: NDArray[np.float32]  # [agent, value]
+    action_mask: NDArray[np.bool_]  # [agent, action]
+    state: NDArray[np.float32] | None  # [value]
+    reward: float
+    agent_rewards: NDArray[np.float32]  # [agent]
+    terminated: bool
+    truncated: bool
+
+
+class Game:
+    """One environment, with agents by number. The two classes below know the interfaces."""
+
+    def __init__(self, source: Source) -> None:
+        """Raises InputError for what cannot be built, and for what these algorithms cannot play."""
+        self.name, self.flatten_images = source.name, source.flatten_images
+        self.env = self.build(source, {})
+        self.can_draw = source.pictures and "rgb_array" in self.env.metadata.get("render_modes", ())
+        if self.can_draw and "render_mode" not in source.kwargs:
+            # The first one is not closed, since this can end pygame for all others in the process.
+            self.env = self.build(source, {"render_mode": "rgb_array"})
+
+        observation_spaces, action_spaces = self.spaces()
+        self.n_agents = len(action_spaces)
+        for space in action_spaces:
+            if not isinstance(space, spaces.Discrete):
+                raise InputError(f"{self.name} has actions of the kind {space}; these algorithms need discrete ones.")
+        self.choices = tuple(int(space.n) for space in action_spaces)
+        self.first_actions = [int(space.start) for space in action_spaces]
+        self.spaces_seen = [self.space_seen(space) for space in observation_spaces]
+        flat: list[Any] = [spaces.flatten_space(space) for space in self.spaces_seen]
+        if not all(isinstance(space, spaces.Box) for space in flat):
+            raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
+        self.obs_size = max(int(space.shape[0]) for space in flat)
+        self.low = min(0.0, *(float(space.low.min(initial=0)) for space in flat))  # 0 is what the padding has
+        self.high = max(0.0, *(float(space.high.max(initial=0)) for space in flat))
+
+        self.own_clock = self.find_clock()
+        self.clock = source.max_episode_steps or self.own_clock
+        if not self.clock:
+            raise InputError(f"{self.name} says nowhere how long an episode lasts; --max-episode-steps does.")
+        if self.own_clock:
+            self.clock = min(self.clock, self.own_clock)
+        self.steps = 0
+        self.state_size: int | None = None
+        first = self.reset(0).state
+        self.state_size = None if first is None else len(first)
+
+    def build(self, source: Source, more: Mapping[str, Any]) -> Any:
+        """The environment, with more keyword arguments than the user gave."""
+        raise NotImplementedError
+
+    def spaces(self) -> tuple[list[Any], list[Any]]:
+        """The observation space and the action space of each agent."""
+        raise NotImplementedError
+
+    def find_clock(self) -> int:
+        """The number of steps after which the environment itself ends an episode; 0: it does not say."""
+        raise NotImplementedError
+
+    def teams(self) -> tuple[int, ...] | None:
+        """The number of each agent's team, or None where the environment does not say."""
+        raise NotImplementedError
+
+    def reset(self, seed: int) -> Outcome:
+        """Begins an episode."""
+        raise NotImplementedError
+
+    def step(self, actions: list[int]) -> Outcome:
+        """Lets all agents act."""
+        raise NotImplementedError
+
+    def frame(self) -> NDArray[np.uint8]:
+        """The environment's own picture of itself."""
+        picture = self.env.render()
+        if not isinstance(picture, np.ndarray) or picture.ndim != 3:
+            raise InputError(f"{self.name} has no picture.")
+        return picture[..., :3].astype(np.uint8)
+
+    def close(self) -> None:
+        """Closes the environment."""
+        self.env.close()
+
+    def space_seen(self, space: Any) -> Any:
+        """An agent's observation space without its action mask."""
+        if isinstance(space, spaces.Dict) and "observation" in space.spaces:
+            space = space["observation"]
+        images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and len(part.shape) > 1]
+        if images and not self.flatten_images:
+            what = f"images of the shape {images[0]}"
+            raise InputError(f"{self.name} has {what} as observations; --flatten-images makes vectors of them.")
+        return space
+
+    def outcome(
+        self,
+        seen: list[Any],
+        masks: list[Any],
+        agent_rewards: list[float],
+        reward: float,
+        terminated: bool,
+        truncated: bool,
+    ) -> Outcome:
+        """The contract's arrays. seen, masks: of each agent; None if it has left, or if there is no mask."""
+        observations = np.zeros((self.n_agents, self.obs_size), np.float32)
+        action_mask = np.zeros((self.n_agents, max(self.choices)), np.bool_)
+        for i, observation in enumerate(seen):
+            if observation is None:
+                action_mask[i, 0] = True
+                continue
+            mask, seen_alone = masks[i], observation
+            if isinstance(observation, Mapping) and "observation" in observation:
+                mask, seen_alone = observation.get("action_mask", mask), observation["observation"]
+            values: Any = spaces.flatten(self.spaces_seen[i], seen_alone)
+            observations[i, : len(values)] = values
+            action_mask[i, : self.choices[i]] = True if mask is None else np.asarray(mask, np.bool_)
+            if not action_mask[i].any():  # the agent has to wait
+                action_mask[i, 0] = True
+        own = np.array(agent_rewards, np.float32)
+        return Outcome(observations, action_mask, self.state(), reward, own, terminated, truncated)
+
+    def state(self) -> NDArray[np.float32] | None:
+        """What the environment calls its state, as a vector; None if it has none."""
+        function = getattr(self.env, "state", None) or getattr(self.env.unwrapped, "state", None)
+        if not callable(function):
+            return None
+        try:
+            state = np.asarray(function(), np.float32)
+        except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
+            return None
+        return state.ravel() if state.ndim < 2 or self.flatten_images else None
+
+    def sum_over_team(self, agent_rewards: list[float]) -> float:
+        """The reward of team 0."""
+        teams = self.teams() or (0,) * self.n_agents
+        return float(sum(reward for reward, team in zip(agent_rewards, teams) if team == 0))
+
+    def check_clock(self) -> None:
+        """Raises InputError where an environment goes on longer than it seemed to say."""
+        if self.clock == self.own_clock:
+            raise InputError(
+                f"{self.name} goes on after {self.clock} steps, which seemed to be its limit; "
+                "--max-episode-steps says how long an episode lasts."
+            )
+
+
+def import_module(name: str, target: str) -> Any:
+    """A module that is installed or lies in the current folder. Raises InputError, about the task, if there is none."""
+    sys.path.append(os.getcwd())  # for a script, Python looks only into the script's own folder
+    try:
+        return importlib.import_module(target)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{target}.".startswith(f"{error.name}."):
+            raise InputError(f"{name} needs the module {error.name}, which is not installed.") from error
+    finally:
+        sys.path.pop()
+    parent, _, last = target.rpartition(".")
+    retired = getattr(sys.modules.get(parent), last, None)  # what PettingZoo has in the place of its old versions
+    if retired is None:
+        raise InputError(f"{name}: there is no module {target}, neither installed nor in the current folder.")
+    return retired
+
+
+def leaves(space: Any) -> list[Any]:
+    """The spaces that a tuple or a dictionary of spaces consists of."""
+    if isinstance(space, spaces.Dict):
+        return [leaf for part in space.spaces.values() for leaf in leaves(part)]
+    if isinstance(space, spaces.Tuple):
+        return [leaf for part in space.spaces for leaf in leaves(part)]
+    return [space]
+
+
+class ParallelGame(Game):
+    """An environment of PettingZoo, by its parallel interface."""
+
+    def build(self, source: Source, more: Mapping[str, Any]) -> Any:
+        """See `Game`."""
+        module = import_module(source.name, source.target)
+        make = getattr(module, "parallel_env", None)
+        if make is None and hasattr(module, "env"):
+            raise InputError(f"{source.name} has agents that act in turn (PettingZoo's AEC), not all at once.")
+        if make is None:
+            raise InputError(f"{source.name}: the module has no function parallel_env, as those of PettingZoo have.")
+        try:
+            env = make(**{**source.kwargs, **more})
+        except (ImportError, TypeError) as error:  # a retired version or a missing package; a wrong keyword argument
+            raise InputError(f"{source.name}: {error}.") from error
+        self.agents = list(env.possible_agents)
+        self.playing = set(self.agents)
+        return env
+
+    def spaces(self) -> tuple[list[Any], list[Any]]:
+        """See `Game`."""
+        observation_spaces = [self.env.observation_space(agent) for agent in self.agents]
+        return observation_spaces, [self.env.action_space(agent) for agent in self.agents]
+
+    def find_clock(self) -> int:
+        """See `Game`. Some environments are wrapped more than once."""
+        env = self.env
+        for _ in range(5):
+            env = getattr(env, "unwrapped", env)
+            found = clock_of(env)
+            if found:
+                return found
+            env = getattr(env, "env", None) or getattr(env, "aec_env", None)
+        return 0
+
+    def teams(self) -> tuple[int, ...] | None:
+        """See `Game`."""
+        teams = getattr(self.env.unwrapped, "teams", None)
+        return None if teams is None else tuple(int(teams[agent]) for agent in self.agents)
+
+    def reset(self, seed: int) -> Outcome:
+        """See `Game`."""
+        observations, infos = self.env.reset(seed=seed)
+        self.steps = 0
+        self.playing = set(self.env.agents)
+        seen = [observations.get(agent) if agent in self.playing else None for agent in self.agents]
+        return self.outcome(seen, self.masks(infos), [0.0] * self.n_agents, 0.0, False, False)
+
+    def step(self, actions: list[int]) -> Outcome:
+        """See `Game`."""
+        chosen = {
+            agent: first + action
+            for agent, first, action in zip(self.agents, self.first_actions, actions)
+            if agent in self.playing
+        }
+        observations, rewards, terminations, truncations, infos = self.env.step(chosen)
+        self.steps += 1
+        timed_out = any(truncations[agent] and not terminations[agent] for agent in self.playing)
+        acted = self.playing
+        self.playing = {agent for agent in self.env.agents if not (terminations[agent] or truncations[agent])}
+        ended = not self.playing
+        if not ended and self.steps == self.clock:
+            self.check_clock()
+            ended = timed_out = True
+        present = acted if ended else self.playing  # those who acted last see what it led to
+        seen = [observations.get(agent) if agent in present else None for agent in self.agents]
+        own = [float(rewards.get(agent, 0)) for agent in self.agents]
+        reward = self.sum_over_team(own)
+        return self.outcome(seen, self.masks(infos), own, reward, ended and not timed_out, ended and timed_out)
+
+    def masks(self, infos: Mapping[str, Any]) -> list[Any]:
+        """The agents' action masks in the infos, or None."""
+        return [infos.get(agent, {}).get("action_mask") for agent in self.agents]
+
+
+class TupleGame(Game):
+    """An environment of Gymnasium: several agents, by tuples, or one."""
+
+    def build(self, source: Source, more: Mapping[str, Any]) -> Any:
+        """See `Game`."""
+        try:
+            return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
+        except (gymnasium.error.Error, ImportError, TypeError) as error:
+            raise InputError(f"{source.name}: {error}") from error
+
+    def spaces(self) -> tuple[list[Any], list[Any]]:
+        """See `Game`."""
+        observation_space, action_space = self.env.observation_space, self.env.action_space
+        self.one_agent = not isinstance(action_space, spaces.Tuple)
+        if self.one_agent:
+            return [observation_space], [action_space]
+        if not isinstance(observation_space, spaces.Tuple) or len(observation_space) != len(action_space):
+            raise InputError(f"{self.name} has a tuple of actions, but not one observation for each.")
+        return list(observation_space), list(action_space)
+
+    def find_clock(self) -> int:
+        """See `Game`."""
+        outside = self.env.spec.max_episode_steps or 0  # Gymnasium's own wrapper truncates
+        self.counts_itself = not outside
+        return outside or clock_of(self.env.unwrapped)
+
+    def teams(self) -> tuple[int, ...] | None:
+        """See `Game`."""
+        teams = getattr(self.env.unwrapped, "teams", None)
+        return None if teams is None else tuple(int(team) for team in teams)
+
+    def reset(self, seed: int) -> Outcome:
+        """See `Game`."""
+        observations, info = self.env.reset(seed=seed)
+        self.steps = 0
+        seen = [observations] if self.one_agent else list(observations)
+        return self.outcome(seen, self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
+
+    def step(self, actions: list[int]) -> Outcome:
+        """See `Game`."""
+        chosen = tuple(first + action for first, action in zip(self.first_actions, actions))
+        observations, rewards, ends, time_outs, info = self.env.step(chosen[0] if self.one_agent else chosen)
+        self.steps += 1
+        terminated, truncated = bool(np.all(ends)), bool(np.any(time_outs))
+        if terminated and self.counts_itself and self.steps == self.own_clock:
+            truncated = True
+        elif not terminated and not truncated and self.steps == self.clock:
+            self.check_clock()
+            truncated = True
+        elif terminated:
+            truncated = False
+        seen = [observations] if self.one_agent else list(observations)
+        if np.ndim(rewards) == 0:
+            own, reward = [float(rewards)] * self.n_agents, float(rewards)
+        else:
+            own = [float(value) for value in rewards]
+            reward = self.sum_over_team(own)
+        return self.outcome(seen, self.masks(info), own, reward, terminated and not truncated, truncated)
+
+    def masks(self, info: Mapping[str, Any]) -> list[Any]:
+        """The agents' action masks in the info, or None for each."""
+        masks = info.get("action_mask")
+        if masks is None:
+            return [None] * self.n_agents
+        return [masks] if self.one_agent else list(masks)
+
+
+def clock_of(env: Any) -> int:
+    """The number of steps that an environment keeps under one of the usual names, or 0."""
+    for name in CLOCKS:
+        value = getattr(env, name, None)
+        if isinstance(value, int) and value > 0:
+            return value
+    return 0
+
+
+def parse_kwargs(text: str) -> dict[str, Any]:
+    """Keyword arguments as they stand in a call, "N=2, local_ratio=0.5". Raises InputError for anything else."""
+    try:
+        call = ast.parse(f"f({text})", mode="eval").body
+        if isinstance(call, ast.Call) and not call.args and all(keyword.arg for keyword in call.keywords):
+            return {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
+    except (SyntaxError, ValueError):
+        pass
+    raise InputError(f"--env-kwargs {text!r} is not like the arguments in a call, such as \"N=2, mode='easy'\".")
+
+
+INTERFACES: dict[str, type[Game]] = {"pettingzoo": ParallelGame, "gymnasium": TupleGame}
+
+
+class Env(vector.VectorEnv):
+    """An environment that is not ours; see the module's docstring."""
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int,
+        seed: int,
+        copy: bool,
+        *,
+        interface: str,
+        target: str,
+        env_kwargs: Mapping[str, Any] | None = None,
+        max_episode_steps: int = 0,
+        flatten_images: bool = False,
+        env_workers: int = 0,
+        pictures: bool = False,
+    ) -> None:
+        """interface: a key of INTERFACES; target: the module or id. The others are those of `envs.make`."""
+        source = Source(name, target, env_kwargs or {}, max_episode_steps, flatten_images, pictures)
+        build = functools.partial(INTERFACES[interface], source)
+        game = build()  # in this process, since it says the sizes and what is wrong
+        super().__init__(
+            name,
+            num_envs,
+            seed,
+            copy,
+            n_agents=game.n_agents,
+            n_actions=max(game.choices),
+            obs_size=game.obs_size,
+            state_size=game.state_size,
+            episode_limit=game.clock,
+            low=game.low,
+            high=game.high,
+            teams=game.teams(),
+            choices=game.choices,
+        )
+        self.can_draw = game.can_draw
+        game.close()
+        self.games = Games(name, build, num_envs, env_workers)
+
+    def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
+        """See `VectorEnv`."""
+        chosen = np.flatnonzero(mask).tolist()
+        self._play("reset", {e: (vector.episode_seed(int(seed), e, int(episodes[e])),) for e in chosen})
+
+    def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
+        """See `VectorEnv`."""
+        refused = vector.forbidden_action(actions, self.action_mask)
+        if refused < 0:
+            self._play("step", {e: (actions[e].tolist(),) for e in np.flatnonzero(playing).tolist()})
+        return refused
+
+    def frame(self, index: int = 0) -> NDArray[np.uint8]:
+        """The environment's own picture, where it was built with `pictures`."""
+        if not self.can_draw:
+            return super().frame(index)
+        return np.asarray(self.games.call("frame", {index: ()})[0], np.uint8)
+
+    def close_extras(self, **_: Any) -> None:
+        """End the games and their processes; `close` calls it."""
+        self.games.close()
+
+    def _play(self, method: str, arguments: Mapping[int, tuple[Any, ...]]) -> None:
+        for e, outcome in zip(arguments, self.games.call(method, arguments)):
+            self.observations[e] = outcome.observations
+            self.action_mask[e] = outcome.action_mask
+            if outcome.state is not None:
+                self.state[e] = outcome.state
+            self.rewards[e] = outcome.reward
+            self.agent_rewards[e] = outcome.agent_rewards
+            self.terminated[e] = outcome.terminated
+            self.truncated[e] = outcome.truncated

@@ -1,0 +1,113 @@
+"""Games that are not compiled, played in this process or, several at once, in worker processes."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from envs.tasks import InputError
+
+
+def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> None:
+    """A worker process: builds its games and calls their methods on request, until the connection ends.
+
+    A request is the name of a method and, for some of the games, the arguments. The answer is the list of results; or,
+    before the process ends, an InputError, or the text of another error's traceback.
+    """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that the games are closed
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then closes the connection
+    games = []
+    try:
+        for _ in range(n_games):
+            games.append(build())
+        while True:
+            try:
+                method, requests = connection.recv()
+            except (EOFError, OSError):  # the parent has ended, or does not need the games any more
+                return
+            connection.send([getattr(games[i], method)(*arguments) for i, arguments in requests])
+    except InputError as error:
+        connection.send(error)
+    except Exception:
+        connection.send(traceback.format_exc())
+    finally:
+        for game in games:
+            game.close()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+class Games:
+    """One game for each sub-environment. What they return does not depend on where they are played."""
+
+    def __init__(self, name: str, build: Callable[[], Any], n_games: int, n_workers: int) -> None:
+        """build: makes a game, in the process where it is played. n_workers: 0 plays all games in this process.
+
+        Each worker plays a block of consecutive games, one after the other.
+        """
+        self.name = name
+        self._here: list[Any] = []
+        self._workers: list[Any] = []
+        self._connections: list[Connection] = []
+        self._place: list[tuple[int, int]] = []  # of each game: its worker, and its number there
+        if n_workers == 0:
+            self._here = [build() for _ in range(n_games)]
+            return
+        context = multiprocessing.get_context("spawn")
+        for worker, block in enumerate(np.array_split(np.arange(n_games), min(n_workers, n_games))):
+            self._place += [(worker, i) for i in range(len(block))]
+            ours, theirs = context.Pipe()
+            process = context.Process(target=serve, args=(theirs, build, len(block)), daemon=True)
+            process.start()
+            theirs.close()
+            self._workers.append(process)
+            self._connections.append(ours)
+
+    def call(self, method: str, arguments: Mapping[int, tuple[Any, ...]]) -> list[Any]:
+        """Call a method of some of the games. Returns the results, in the order of the arguments.
+
+        Raises what the game raises; from a worker process a RuntimeError with the worker's traceback.
+        """
+        if self._here:
+            return [getattr(self._here[game], method)(*values) for game, values in arguments.items()]
+        requests: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
+        for game, values in arguments.items():
+            worker, i = self._place[game]
+            requests.setdefault(worker, []).append((i, values))
+        for worker, request in requests.items():
+            with contextlib.suppress(OSError):  # a worker that has ended; what it said last is read below
+                self._connections[worker].send((method, request))
+        answers = {worker: iter(self._answer(worker)) for worker in requests}
+        return [next(answers[self._place[game][0]]) for game in arguments]
+
+    def close(self) -> None:
+        """End the games and their processes."""
+        for game in self._here:
+            game.close()
+        for connection in self._connections:
+            connection.close()
+        for process in self._workers:
+            process.join(10)
+            process.terminate()
+
+    def _answer(self, worker: int) -> list[Any]:
+        try:
+            answer = self._connections[worker].recv()
+        except (EOFError, OSError):
+            answer = None
+        if isinstance(answer, list):
+            return answer
+        self.close()
+        if isinstance(answer, InputError):
+            raise answer
+        if answer is None:
+            how = f"exit code {self._workers[worker].exitcode}"
+            raise RuntimeError(f"{self.name}: worker process {worker} has ended without a word ({how}).")
+        raise RuntimeError(f"{self.name}: worker process {worker} has ended with this error:\n\n{answer}")
