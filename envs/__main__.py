@@ -1,4 +1,9 @@
-"""`python -m envs` prints a table of the paper's tasks, `python -m envs <name> ...` one of the named tasks."""
+"""Tasks in the terminal.
+
+python -m envs                   a table of the paper's tasks
+python -m envs <name> ...        one of the named tasks
+python -m envs check <name>      whether an environment keeps the contract; exit code 1 if it does not
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ import os
 import sys
 
 import envs
+from envs.check import problems
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -19,8 +25,34 @@ def row(name: str) -> tuple[str, ...]:
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
 
+def check_task(argv: list[str]) -> None:
+    """Check a task, and say what is wrong."""
+    parser = argparse.ArgumentParser(
+        prog="python -m envs check", description="Does it keep the contract of envs.vector?"
+    )
+    parser.add_argument("name", help="a task")
+    parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
+    parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
+    parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
+    parser.add_argument("--env-workers", type=int, default=0, help="processes that play the episodes")
+    args = vars(parser.parse_args(argv))
+    name = args.pop("name")
+
+    def make(num_envs: int, seed: int, copy: bool) -> envs.VectorEnv:
+        return envs.make(name, num_envs, seed, copy, **args)
+
+    try:
+        found = problems(make)
+    except envs.InputError as error:
+        parser.exit(2, f"{error}\n")
+    print("\n".join(found) or f"{name} keeps the contract.")
+    sys.exit(1 if found else 0)
+
+
 def main(argv: list[str]) -> None:
     """Print the table. A wrong name ends with one sentence and exit code 2."""
+    if argv[:1] == ["check"]:
+        check_task(argv[1:])
     parser = argparse.ArgumentParser(prog="python -m envs", description="Tasks, their sizes and the paper's budgets.")
     parser.add_argument("names", nargs="*", metavar="name", help="a task; without any, all tasks of the paper")
     names = parser.parse_args(argv).names
