@@ -27,9 +27,7 @@ def row(name: str) -> tuple[str, ...]:
 
 def check_task(argv: list[str]) -> None:
     """Check a task, and say what is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="python -m envs check", description="Does it keep the contract of envs.vector?"
-    )
+    parser = argparse.ArgumentParser(prog="python -m envs check", description="The contract is in envs/vector.py.")
     parser.add_argument("name", help="a task")
     parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
     parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")

@@ -6,6 +6,7 @@ python -m envs check <name>
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -106,9 +107,10 @@ def ends(make: Make) -> Iterator[str]:
     for episode in range(EPISODES):
         steps = play(env, episode)
         if not (steps[-1][2] | steps[-1][3]).all():
-            yield f"An episode goes on after env.episode_limit = {env.episode_limit} steps; the last one must truncate it."
+            limit = f"env.episode_limit = {env.episode_limit} steps"
+            yield f"An episode goes on after {limit}; the last one must truncate it."
             return
-        for before, after in zip(steps, steps[1:]):
+        for before, after in pairwise(steps):
             for index in np.flatnonzero(before[2] | before[3]):
                 if after[1][index] or after[4]["agent_rewards"][index].any():
                     yield "A sub-environment that has finished still earns rewards."
@@ -156,7 +158,8 @@ def randomness(make: Make) -> Iterator[str]:
         if any(differ(step, other, 0) for step, other in zip(steps, play(alone, episode))):
             yield "Sub-environment 0 plays something else when there are others beside it."
     if any(differ(step, other, i) for step, other in zip(steps, play(later, EPISODES - 1)) for i in range(3)):
-        yield f"After env.episode = {EPISODES - 1}, a reset does not begin episode {EPISODES - 1}: a resumed run would differ."
+        last = EPISODES - 1
+        yield f"After env.episode = {last}, a reset does not begin episode {last}: a resumed run would differ."
 
 
 def masked_resets(make: Make) -> Iterator[str]:
