@@ -470,17 +470,12 @@ def step_all(
 
 
 class Network(NamedTuple):
-    """An opponent: Linear - ReLU - GRU - Linear, as algos/maddpg.py trains it; float32.
-
-    Weights are [input, output]. The GRU's three gates (reset, update, new) stand side by side, as PyTorch has them.
-    """
+    """An opponent: Linear - ReLU - Linear - ReLU - Linear, as algos/maddpg.py trains it with --network fc; float32."""
 
     first_weight: NDArray[np.float32]  # [value, hidden]
     first_bias: NDArray[np.float32]
-    input_weight: NDArray[np.float32]  # [hidden, 3 hidden]
-    input_bias: NDArray[np.float32]
-    memory_weight: NDArray[np.float32]  # [hidden, 3 hidden]
-    memory_bias: NDArray[np.float32]
+    core_weight: NDArray[np.float32]  # [hidden, hidden]
+    core_bias: NDArray[np.float32]
     last_weight: NDArray[np.float32]  # [hidden, action]
     last_bias: NDArray[np.float32]
 
@@ -489,15 +484,6 @@ def read_network(path: str | os.PathLike[str]) -> Network:
     """The network in an archive that benchmark/train_opponents.py has written."""
     with np.load(path) as arrays:
         return Network(*(arrays[name] for name in Network._fields))
-
-
-class Workspace(NamedTuple):
-    """The layers' outputs for one sub-environment at a time."""
-
-    first: NDArray[np.float32]  # [hidden]
-    from_input: NDArray[np.float32]  # [3 hidden]
-    from_memory: NDArray[np.float32]  # [3 hidden]
-    last: NDArray[np.float32]  # [action]
 
 
 @compiled
@@ -513,42 +499,26 @@ def linear(weight, bias, values, outputs):
 
 
 @compiled
-def sigmoid(x):
-    return np.float32(1) / (np.float32(1) + np.exp(-x))
-
-
-@compiled
-def decide(network, workspace, view, memory):
-    """The most probable action after the memory, [hidden], has taken in the view, [value]."""
-    first, from_input, from_memory, last = workspace
-    n_hidden = len(memory)
-    linear(network.first_weight, network.first_bias, view, first)
-    for j in range(n_hidden):
-        first[j] = max(first[j], np.float32(0))
-    linear(network.input_weight, network.input_bias, first, from_input)
-    linear(network.memory_weight, network.memory_bias, memory, from_memory)
-    for j in range(n_hidden):
-        reset = sigmoid(from_input[j] + from_memory[j])
-        update = sigmoid(from_input[n_hidden + j] + from_memory[n_hidden + j])
-        new = np.tanh(from_input[2 * n_hidden + j] + reset * from_memory[2 * n_hidden + j])
-        memory[j] = (np.float32(1) - update) * new + update * memory[j]
-    linear(network.last_weight, network.last_bias, memory, last)
-    return np.argmax(last)
+def rectify(values):
+    for j in range(len(values)):
+        values[j] = max(values[j], np.float32(0))
 
 
 @compiled
 def decide_all(
-    first_weight, first_bias, input_weight, input_bias, memory_weight, memory_bias, last_weight, last_bias,
-    first, from_input, from_memory, last,
-    views, opponent, memory, opponent_action, idle,
+    first_weight, first_bias, core_weight, core_bias, last_weight, last_bias,
+    first, core, last,
+    views, opponent, opponent_action, playing,
 ):  # fmt: skip
-    network = Network(
-        first_weight, first_bias, input_weight, input_bias, memory_weight, memory_bias, last_weight, last_bias
-    )
-    workspace = Workspace(first, from_input, from_memory, last)
-    for e in range(len(idle)):
-        if not idle[e]:
-            opponent_action[e] = decide(network, workspace, views[e, opponent], memory[e])
+    """The most probable action of the opponent in each sub-environment. first, core, last: room for the layers."""
+    for e in range(len(playing)):
+        if playing[e]:
+            linear(first_weight, first_bias, views[e, opponent], first)
+            rectify(first)
+            linear(core_weight, core_bias, first, core)
+            rectify(core)
+            linear(last_weight, last_bias, core, last)
+            opponent_action[e] = np.argmax(last)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -726,24 +696,21 @@ class Env(vector.VectorEnv):
 
         if not all_learn:
             network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
-            n_hidden = len(network.first_bias)
-            workspace = Workspace(*(np.zeros(size, np.float32) for size in (n_hidden, 3 * n_hidden, 3 * n_hidden, 5)))
-            self.memory = np.zeros((num_envs, n_hidden), np.float32)
-            plays = (self.game.views, self.config.opponent, self.memory, self.game.opponent_action)
-            self._opponent_arguments = (*network, *workspace, *plays)
+            layers = [np.zeros_like(bias) for bias in (network.first_bias, network.core_bias, network.last_bias)]
+            plays = (self.game.views, self.config.opponent, self.game.opponent_action)
+            self._opponent_arguments: Any = (*network, *layers, *plays)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
         reset_all(*self._arguments, mask, seed, episodes)
         if self.config.opponent >= 0:
-            self.memory[mask] = 0
-            decide_all(*self._opponent_arguments, ~mask)
+            decide_all(*self._opponent_arguments, mask)
 
     def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
         refused = step_all(*self._step_arguments, actions, playing)
         if self.config.opponent >= 0 and refused < 0:
-            decide_all(*self._opponent_arguments, self.truncated)
+            decide_all(*self._opponent_arguments, playing)
         return refused
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:

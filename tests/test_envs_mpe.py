@@ -276,7 +276,7 @@ def test_an_episode_depends_on_seed_index_and_number_alone(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["mpe-speaker-listener", "mpe-adversary", "mpe-tag"])
 def test_a_masked_reset_leaves_the_others_alone(name: str) -> None:
-    """Also the opponents: they neither forget nor decide twice."""
+    """Also the opponents: they do not decide twice."""
     one, other = make(name, 3, seed=5), make(name, 3, seed=5)
     one.reset()
     other.reset()
@@ -290,7 +290,7 @@ def test_a_masked_reset_leaves_the_others_alone(name: str) -> None:
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("name", ["mpe-spread", "mpe-tag"])
 def test_a_copied_environment_goes_on_by_itself(name: str, duplicate: Callable[[mpe.Env], mpe.Env]) -> None:
-    """With the opponent's memory, and statistics of its own."""
+    """With the opponent's next move, and statistics of its own."""
     env = make(name, 3, seed=4)
     env.reset()
     play(env, 5)
@@ -392,27 +392,21 @@ def test_statistics_of_distances() -> None:
 # ---------------------------------------------------------------------------------------------------------------------
 
 
-def torch_layers(network: mpe.Network) -> tuple[Any, Any, Any]:
+def in_torch(network: mpe.Network) -> nn.Sequential:
     """The same network in PyTorch."""
     n_hidden = len(network.first_bias)
-    first, core = nn.Linear(len(network.first_weight), n_hidden), nn.GRU(n_hidden, n_hidden)
-    last = nn.Linear(n_hidden, len(network.last_bias))
-    parameters = (
-        *(first.weight, first.bias, core.weight_ih_l0, core.bias_ih_l0, core.weight_hh_l0, core.bias_hh_l0),
-        *(last.weight, last.bias),
-    )
+    first, core = nn.Linear(len(network.first_weight), n_hidden), nn.Linear(n_hidden, n_hidden)
+    layers = nn.Sequential(first, nn.ReLU(), core, nn.ReLU(), nn.Linear(n_hidden, len(network.last_bias)))
     with torch.no_grad():
-        for parameter, array in zip(parameters, network, strict=True):
-            assert isinstance(parameter, nn.Parameter)
+        for parameter, array in zip(layers.parameters(), network, strict=True):
             parameter.copy_(torch.from_numpy(array.T))
-    return first, core, last
+    return layers
 
 
 def random_network(path: Path, inputs: int, hidden: int = 20) -> Path:
-    """A network whose memory matters: its weights are large."""
+    """A network whose hidden layers matter: its weights are large."""
     rng = np.random.default_rng(0)
-    gates = 3 * hidden
-    shapes = [(inputs, hidden), (hidden,), (hidden, gates), (gates,), (hidden, gates), (gates,), (hidden, 5), (5,)]
+    shapes = [(inputs, hidden), (hidden,), (hidden, hidden), (hidden,), (hidden, 5), (5,)]
     arrays = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
     np.savez(path, **mpe.Network(*arrays)._asdict())
     return path
@@ -421,26 +415,23 @@ def random_network(path: Path, inputs: int, hidden: int = 20) -> Path:
 @pytest.mark.parametrize("name", AGAINST_OPPONENTS)
 @pytest.mark.parametrize("shipped", [True, False])
 def test_opponents_act_as_their_networks_say(name: str, shipped: bool, tmp_path: Path) -> None:
-    """Greedily, on the observation before the step, in the paper's directions, and from an empty memory."""
+    """Greedily, on the observation before the step, and in the paper's directions."""
     path = mpe.OPPONENTS / f"{name.replace('mpe2', 'mpe')}.npz"
     task = envs.task(name)
     if not shipped:
         path = random_network(tmp_path / "network.npz", 10 if "adversary" in name else 16)
     env = mpe.Env(name, 4, 1, True, **task.settings, opponent=path)
     all_learn = make(f"{name}-selfplay", 4, seed=1)
-    first, core, last = torch_layers(mpe.read_network(path))
+    network = in_torch(mpe.read_network(path))
     opponent = all_learn.teams.index(1)
     rng = np.random.default_rng(3)
     taken = set()
     for _ in range(2):
         env.reset()
         observations, _ = all_learn.reset()
-        memory = None
         for _ in range(25):
             with torch.no_grad():
-                x = torch.relu(first(torch.from_numpy(observations[:, opponent])))
-                x, memory = core(x[None], memory)
-                moves = last(x[0]).argmax(1).numpy()
+                moves = network(torch.from_numpy(observations[:, opponent])).argmax(1).numpy()
             taken |= set(moves.tolist())
             if name.startswith("mpe2"):
                 moves = np.array([0, 2, 1, 4, 3])[moves]
@@ -458,11 +449,10 @@ def test_opponents_act_as_their_networks_say(name: str, shipped: bool, tmp_path:
 def test_a_refused_step_does_not_let_the_opponent_decide() -> None:
     env = make("mpe-tag")
     env.reset()
-    memory, action = env.memory.copy(), env.game.opponent_action.copy()
+    env.game.opponent_action[:] = 4  # not what it would decide now
     with pytest.raises(ValueError, match="does not exist"):
         env.step([[0, 0, 5]])
-    np.testing.assert_array_equal(env.memory, memory)
-    np.testing.assert_array_equal(env.game.opponent_action, action)
+    assert env.game.opponent_action.tolist() == [4]
 
 
 @needs_training
@@ -472,71 +462,69 @@ def test_where_the_opponents_come_from(task: str) -> None:
     assert note["origin"]["flags"]["env"] == f"{task}-selfplay" and note["origin"]["flags"]["seed"] == note["seed"]
     assert not note["origin"]["flags"]["parameter_sharing"] and note["origin"]["flags"]["individual_rewards"]
     assert {"command", "commit", "versions"} <= note["origin"].keys()
-    assert len(note["curve"]) == 41 and note["curve"][-1][0] == 625_000
+    training = opponents.TRAININGS[task]
+    assert len(note["curve"]) == training.eval_points and note["curve"][-1][0] == training.total_timesteps
+    assert note["agent"] == mpe.SCENARIOS[task.removeprefix("mpe-")].teams.index(1)
     chosen = min(note["candidates"], key=lambda each: opponents.distance(task, each["returns"]))
-    assert (chosen["seed"], chosen["returns"]) == (note["seed"], note["returns"])
+    for name in ("seed", "timestep", "returns"):
+        assert chosen[name] == note[name]
 
 
-def test_a_checkpoint_becomes_an_opponent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """What the command takes from a run's checkpoint acts as the script's own networks do."""
-    flags = {"parameter_sharing": False, "individual_rewards": True, "batch_size": 1}
-    run = trained(monkeypatch, "maddpg", 1, "mpe-tag-selfplay", **flags)
-    agents = run.parts["agents"]
-    torch.save({"parts": {"agents": agents.state_dict()}}, tmp_path / "checkpoint.pt")
-    first, core, last = torch_layers(opponents.network(tmp_path, 3))
+def test_a_networks_arrays_act_as_the_scripts_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    flags = {"parameter_sharing": False, "individual_rewards": True, "batch_size": 1, "network": "fc"}
+    agents = trained(monkeypatch, "maddpg", 1, "mpe-tag-selfplay", **flags).parts["agents"]
     views = torch.randn(5, 2, 4, 16)  # [time, env, agent, value]
     with torch.no_grad():
         theirs = agents(views)[0][:, :, 3]
-        ours = last(core(torch.relu(first(views[:, :, 3])))[0])
+        ours = in_torch(opponents.network(agents, 3))(views[:, :, 3])
     torch.testing.assert_close(ours, theirs)
 
 
-def test_a_complete_run_is_not_trained_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An incomplete one goes on, and the program ends where the script ends with an error."""
-    started: list[list[str]] = []
-
-    def run(command: list[str]) -> subprocess.CompletedProcess[str]:
-        started.append(command)
-        return subprocess.CompletedProcess(command, len(started) - 1)
-
-    monkeypatch.setattr(subprocess, "run", run)
-    table = tmp_path / "evaluations.csv"
-    table.write_text("point,timestep\n0,0\n40,625000\n")
-    opponents.train("mpe-tag", 3, tmp_path)
-    assert started == []
-    table.write_text("point,timestep\n0,0\n39,609375\n")
-    opponents.train("mpe-tag", 3, tmp_path)
-    flags = ["--env", "mpe-tag-selfplay", "--individual-rewards", "--no-parameter-sharing", "--seed", "3"]
-    assert started[0][2:] == [*flags, "--run-dir", str(tmp_path), "--resume"]
-    with pytest.raises(SystemExit, match="mpe-tag with seed 3 did not end"):
-        opponents.train("mpe-tag", 3, tmp_path)
+def test_a_short_training_keeps_its_candidates(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """At each evaluation; a complete run stays as it is."""
+    monkeypatch.setitem(opponents.TRAININGS, "mpe-adversary", opponents.Training(100, 3))
+    monkeypatch.setattr(opponents, "EPISODES", 20)
+    directory = tmp_path / "mpe-adversary" / "seed2"
+    opponents.train("mpe-adversary", 2, directory)
+    flags = json.loads((directory / "config.json").read_text())["flags"]
+    assert (flags["env"], flags["network"], flags["parameter_sharing"]) == ("mpe-adversary-selfplay", "fc", False)
+    found = opponents.candidates("mpe-adversary", directory)
+    assert [(each["seed"], each["timestep"]) for each in found] == [(2, 0), (2, 50), (2, 100)]
+    assert found[0]["returns"].keys() == {"random", "cover both landmarks"}
+    when = (directory / "checkpoint.pt").stat().st_mtime_ns
+    opponents.train("mpe-adversary", 2, directory)
+    assert (directory / "checkpoint.pt").stat().st_mtime_ns == when
 
 
 @pytest.fixture
-def two_candidates(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Two complete runs of which seed 1 is the better; the package's folder is a new one."""
+def two_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Two complete runs with one candidate each; seed 1 has the better one. The package's folder is a new one."""
     figures = {0: {"random": 0.2, "chase": 14.0}, 1: {"random": 0.4, "chase": 7.0}}
 
-    def candidate(task: str, directory: Path) -> dict[str, Any]:
+    def candidates(task: str, directory: Path) -> list[dict[str, Any]]:
         seed = int(directory.name[-1])
-        (directory / "opponent.npz").write_text(f"network {seed}")
-        return {"seed": seed, "returns": figures[seed], "curve": []}
+        return [{"seed": seed, "timestep": 50, "returns": figures[seed], "archive": directory / "50.npz"}]
 
     for seed in (0, 1):
-        (tmp_path / "runs" / "mpe-tag" / f"seed{seed}").mkdir(parents=True)
+        directory = tmp_path / "runs" / "mpe-tag" / f"seed{seed}"
+        directory.mkdir(parents=True)
+        (directory / "50.npz").write_text(f"network {seed}")
+        (directory / "config.json").write_text("{}")
+        (directory / "evaluations.csv").write_text("timestep,return_mean\n0,1.5\n")
     monkeypatch.setattr(opponents, "train", lambda *_: None)
-    monkeypatch.setattr(opponents, "candidate", candidate)
+    monkeypatch.setattr(opponents, "candidates", candidates)
     monkeypatch.setattr(mpe, "OPPONENTS", tmp_path / "opponents")
     arguments = ["train_opponents.py", "--tasks", "mpe-tag", "--seeds", "0", "1", "--runs", str(tmp_path / "runs")]
     monkeypatch.setattr(sys, "argv", arguments)
     return tmp_path
 
 
-def test_the_best_candidate_is_installed_and_not_replaced_silently(two_candidates: Path, monkeypatch: Any) -> None:
+def test_the_best_candidate_is_installed_and_not_replaced_silently(two_runs: Path, monkeypatch: Any) -> None:
     opponents.main()
-    archive = two_candidates / "opponents" / "mpe-tag.npz"
+    archive = two_runs / "opponents" / "mpe-tag.npz"
     note = json.loads(archive.with_suffix(".json").read_text())
-    assert archive.read_text() == "network 1" and note["seed"] == 1 and len(note["candidates"]) == 2
+    assert archive.read_text() == "network 1" and (note["seed"], note["timestep"]) == (1, 50)
+    assert len(note["candidates"]) == 2 and note["curve"] == [[0, 1.5]]
     assert {path.suffix for path in archive.parent.iterdir()} == {".npz", ".json"}
     archive.write_text("precious")
     opponents.main()
@@ -548,11 +536,11 @@ def test_the_best_candidate_is_installed_and_not_replaced_silently(two_candidate
 
 @pytest.mark.parametrize("figures", [{"random": 1.5, "chase": 8.0}, {"random": 0.2, "chase": 3.0}])
 def test_a_candidate_out_of_bounds_is_not_installed(
-    figures: dict[str, float], two_candidates: Path, monkeypatch: pytest.MonkeyPatch
+    figures: dict[str, float], two_runs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opponents, "candidate", lambda *_: {"seed": 0, "returns": figures, "curve": []})
+    monkeypatch.setattr(opponents, "candidates", lambda *_: [{"seed": 0, "timestep": 50, "returns": figures}])
     opponents.main()
-    assert not (two_candidates / "opponents").exists()
+    assert not (two_runs / "opponents").exists()
 
 
 # ---------------------------------------------------------------------------------------------------------------------
