@@ -696,9 +696,11 @@ class Env(vector.VectorEnv):
 
         if not all_learn:
             network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
-            layers = [np.zeros_like(bias) for bias in (network.first_bias, network.core_bias, network.last_bias)]
+            first, core, last = (
+                np.zeros_like(bias) for bias in (network.first_bias, network.core_bias, network.last_bias)
+            )
             plays = (self.game.views, self.config.opponent, self.game.opponent_action)
-            self._opponent_arguments: Any = (*network, *layers, *plays)
+            self._opponent_arguments = (*network, first, core, last, *plays)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
