@@ -696,9 +696,8 @@ class Env(vector.VectorEnv):
 
         if not all_learn:
             network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
-            first, core, last = (
-                np.zeros_like(bias) for bias in (network.first_bias, network.core_bias, network.last_bias)
-            )
+            biases = (network.first_bias, network.core_bias, network.last_bias)
+            first, core, last = (np.zeros_like(bias) for bias in biases)
             plays = (self.game.views, self.config.opponent, self.game.opponent_action)
             self._opponent_arguments = (*network, first, core, last, *plays)
 
