@@ -460,7 +460,8 @@ class Env(vector.VectorEnv):
 
     def close_extras(self, **_: Any) -> None:
         """End the games and their processes; `close` calls it."""
-        self.games.close()
+        if hasattr(self, "games"):  # not where the environment could not be built
+            self.games.close()
 
     def _play(self, method: str, arguments: Mapping[int, tuple[Any, ...]]) -> None:
         for e, outcome in zip(arguments, self.games.call(method, arguments)):

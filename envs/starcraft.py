@@ -19,12 +19,9 @@ truncated, and its statistics are not a number.
 
 from __future__ import annotations
 
+import functools
 import importlib.util
-import multiprocessing
 import os
-import signal
-import sys
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +30,7 @@ from numpy.typing import NDArray
 
 from envs import vector
 from envs.tasks import InputError
+from envs.workers import Games
 
 STATISTICS = ("battle_won", "dead_allies", "dead_enemies")
 
@@ -54,44 +52,46 @@ def require(map_name: str) -> None:
         raise InputError(f"smac-{map_name}: there is no map {place}; {instead}")
 
 
-def serve(connection: Connection, map_name: str) -> None:
-    """A worker process: plays one game, on request, until the connection ends.
+class Battle:
+    """One game, in a worker process."""
 
-    Requests: ("start", seed), answered with what the package says of the task; ("reset", None) and ("step", actions),
-    answered with observations, state, mask, reward, terminated, truncated and the statistics.
-    """
-    from smac.env import StarCraft2Env
+    def __init__(self, map_name: str) -> None:
+        """map_name: of the package."""
+        self.map_name = map_name
+        self.game: Any = None
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that the game is closed
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then closes the connection
-    game: Any = None
-    try:
-        while True:
-            request, value = connection.recv()
-            if request == "start":
-                if game is not None:
-                    game.close()
-                game = StarCraft2Env(map_name=map_name, seed=value, continuing_episode=True)
-                connection.send(game.get_env_info())
-                continue
-            reward, done, info = 0.0, False, {"battle_won": False}
-            if request == "reset":
-                game.reset()
-            else:
-                reward, done, info = game.step(value)
-            crashed = "battle_won" not in info
-            if not crashed:  # else the new game has not begun yet, and the agents see what they saw last
-                observations = np.array(game.get_obs(), np.float32)
-                state = np.array(game.get_state(), np.float32)
-                mask = np.array(game.get_avail_actions(), np.bool_)
-            truncated = crashed or bool(info.get("episode_limit", False))
-            statistics = [np.nan if crashed else float(info.get(name, 0)) for name in STATISTICS]
-            connection.send((observations, state, mask, reward, done and not truncated, truncated, statistics))
-    except EOFError:
-        pass
-    finally:
-        if game is not None:
-            game.close()
+    def start(self, seed: int) -> dict[str, int]:
+        """Starts StarCraft II anew. Returns what the package says of the task."""
+        from smac.env import StarCraft2Env
+
+        self.close()
+        self.game = StarCraft2Env(map_name=self.map_name, seed=seed, continuing_episode=True)
+        return dict(self.game.get_env_info())
+
+    def reset(self) -> tuple[Any, ...]:
+        """Begins an episode; see `seen`."""
+        self.game.reset()
+        return self.seen(0.0, False, {"battle_won": False})
+
+    def step(self, actions: list[int]) -> tuple[Any, ...]:
+        """Lets all agents act; see `seen`."""
+        return self.seen(*self.game.step(actions))
+
+    def seen(self, reward: float, done: bool, info: dict[str, Any]) -> tuple[Any, ...]:
+        """Observations, state, mask, reward, terminated, truncated, and the statistics."""
+        crashed = "battle_won" not in info
+        if not crashed:  # else the new game has not begun yet, and the agents see what they saw last
+            self.observations = np.array(self.game.get_obs(), np.float32)
+            self.state = np.array(self.game.get_state(), np.float32)
+            self.mask = np.array(self.game.get_avail_actions(), np.bool_)
+        truncated = crashed or bool(info.get("episode_limit", False))
+        statistics = [np.nan if crashed else float(info.get(name, 0)) for name in STATISTICS]
+        return self.observations, self.state, self.mask, reward, done and not truncated, truncated, statistics
+
+    def close(self) -> None:
+        """Ends StarCraft II."""
+        if self.game is not None:
+            self.game.close()
 
 
 class Env(vector.VectorEnv):
@@ -99,18 +99,9 @@ class Env(vector.VectorEnv):
 
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, *, map_name: str) -> None:
         """map_name: of the package. Raises InputError where the package, the game or the map is missing."""
-        self._workers: list[Any] = []  # made first: `close` uses them, also where something is missing
-        self._connections: list[Connection] = []
         require(map_name)
-        context = multiprocessing.get_context("spawn")
-        for _ in range(num_envs):
-            ours, theirs = context.Pipe()
-            worker = context.Process(target=serve, args=(theirs, map_name), daemon=True)
-            worker.start()
-            theirs.close()
-            self._workers.append(worker)
-            self._connections.append(ours)
-        self.name = name
+        self._battles = Games(name, functools.partial(Battle, map_name), num_envs, n_workers=num_envs)
+        self.num_envs = num_envs
         sizes = self._start(seed)
         super().__init__(
             name,
@@ -131,52 +122,31 @@ class Env(vector.VectorEnv):
         """See `VectorEnv`."""
         if int(seed) != self._started:
             self._start(int(seed))
-        playing = np.flatnonzero(mask)
-        for e in playing:
-            self._connections[e].send(("reset", None))
-        self._receive(playing)
+        self._play("reset", {e: () for e in np.flatnonzero(mask).tolist()})
 
     def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
         refused = vector.forbidden_action(actions, self.action_mask)
         if refused < 0:
-            for e in np.flatnonzero(playing):
-                self._connections[e].send(("step", actions[e].tolist()))
-            self._receive(np.flatnonzero(playing))
+            self._play("step", {e: (actions[e].tolist(),) for e in np.flatnonzero(playing).tolist()})
         return refused
 
     def close_extras(self, **_: Any) -> None:
         """End the games and their processes; `close` calls it."""
-        for connection in self._connections:
-            connection.close()
-        for worker in self._workers:
-            worker.join(10)
-            worker.terminate()
+        if hasattr(self, "_battles"):  # not where the package is missing
+            self._battles.close()
 
-    def _start(self, seed: int) -> Any:
-        """Let each worker make its game, with a seed of its own; returns what the package says of the task."""
-        for e, connection in enumerate(self._connections):
-            connection.send(("start", int(np.random.SeedSequence([seed, e]).generate_state(1)[0])))
+    def _start(self, seed: int) -> dict[str, int]:
+        """Let each worker start its game, with a seed of its own; returns what the package says of the task."""
+        seeds = {e: (int(np.random.SeedSequence([seed, e]).generate_state(1)[0]),) for e in range(self.num_envs)}
         self._started = seed
-        answers = [self._answer(e) for e in range(len(self._connections))]
-        return answers[0]
+        sizes: dict[str, int] = self._battles.call("start", seeds)[0]
+        return sizes
 
-    def _answer(self, e: int) -> Any:
-        try:
-            return self._connections[e].recv()
-        except (EOFError, ConnectionError):
-            self.close_extras()
-            raise RuntimeError(
-                f"{self.name}: the game of sub-environment {e} has ended; see its own message."
-            ) from None
-
-    def _receive(self, playing: NDArray[np.int64]) -> None:
-        """Take the answers of these sub-environments to a reset or a step."""
-        for e in playing:
-            observations, state, mask, reward, terminated, truncated, statistics = self._answer(e)
-            self.observations[e] = observations
-            self.state[e] = state
-            self.action_mask[e] = mask
+    def _play(self, method: str, arguments: dict[int, tuple[Any, ...]]) -> None:
+        """Let these sub-environments begin an episode, or make a step."""
+        for e, seen in zip(arguments, self._battles.call(method, arguments)):
+            self.observations[e], self.state[e], self.action_mask[e], reward, terminated, truncated, statistics = seen
             self.rewards[e] = self.agent_rewards[e] = reward
             self.terminated[e] = terminated
             self.truncated[e] = truncated

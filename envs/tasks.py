@@ -6,7 +6,7 @@
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
     smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
     pettingzoo:<module>  gymnasium:<id>                environments that are not ours; see `envs.foreign`
-    own:<module>                                       a class `Env` of yours, by the contract in `envs.vector`
+    own:<module>                                       a class `Env` of your own, by the contract in `envs.vector`
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
 the family's form. It raises InputError if the name has the form, but no such game can be played. `PARSERS` lists the
