@@ -24,7 +24,7 @@ ENTRIES = ("agent_rewards", "state", "action_mask")  # of the info, besides the 
 def problems(make: Make) -> list[str]:
     """Sentences about what breaks the contract, in the order of the checks; none if nothing does."""
     found: list[str] = []
-    for check in (arrays, ends, refusals, randomness, masked_resets, copies):
+    for check in (arrays, copies, ends, refusals, randomness, masked_resets):
         for sentence in check(make):
             if sentence not in found:
                 found.append(sentence)
@@ -49,6 +49,8 @@ def play(env: VectorEnv, episode: int) -> list[Step]:
     steps: list[Step] = [(observations, no_flags.astype(np.float32), no_flags, no_flags, info)]
     for _ in range(env.episode_limit):
         masks = steps[-1][-1]["action_mask"]
+        if not masks.any(axis=2).all():  # nobody can go on; `arrays` says so
+            break
         steps.append(env.step(np.stack([allowed_actions(mask, rng) for mask, rng in zip(masks, generators)])))
         if (steps[-1][2] | steps[-1][3]).all():
             break
@@ -176,12 +178,8 @@ def masked_resets(make: Make) -> Iterator[str]:
 
 def copies(make: Make) -> Iterator[str]:
     """With copy=True the caller may keep what it got; with copy=False it gets the same arrays each time."""
-    env, shared = make(2, 0, True), make(2, 0, False)
-    kept = play(env, 0)
+    kept, shared = play(make(2, 0, True), 0), make(2, 0, False)
     if any(np.shares_memory(kept[0][0], step[0]) for step in kept[1:]):
         yield "With copy=True, a step writes into the arrays that an earlier one returned."
     if play(shared, 0)[-1][0] is not shared.observations:
         yield "With copy=False, a step must return the environment's own arrays."
-    for index in range(2):
-        if differ(kept[-1], play(make(2, 0, False), 0)[-1], index):
-            yield "With copy=False the environment plays something else than with copy=True."

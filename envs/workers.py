@@ -7,8 +7,9 @@ import multiprocessing
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,17 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
+@contextlib.contextmanager
+def hidden_main() -> Iterator[None]:
+    """A new process imports the main program again: a script, and with it PyTorch, which no game needs."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
 class Games:
     """One game for each sub-environment. What they return does not depend on where they are played."""
 
@@ -65,7 +77,8 @@ class Games:
             self._place += [(worker, i) for i in range(len(block))]
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs, build, len(block)), daemon=True)
-            process.start()
+            with hidden_main():
+                process.start()
             theirs.close()
             self._workers.append(process)
             self._connections.append(ours)

@@ -1,0 +1,261 @@
+"""The check of the contract: every family keeps it, and each way of breaking it is named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scripts import ROOT, script, trained
+
+import envs
+from envs.check import problems
+from envs.vector import VectorEnv, forbidden_action
+
+sys.path.append(str(ROOT))
+from examples import meeting_compiled, meeting_numpy, meeting_pettingzoo
+
+EXAMPLES = ["own:examples.meeting_numpy", "own:examples.meeting_compiled", "pettingzoo:examples.meeting_pettingzoo"]
+TASKS = [
+    "matrix-climbing",
+    "lbf-6x6-2p-2f",
+    "rware-tiny-2p",
+    "mpe-speaker-listener",
+    "mpe2-tag-selfplay",
+    "smaclite-3m",
+]
+
+
+@pytest.fixture(autouse=True)
+def in_the_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+
+
+@pytest.mark.parametrize("name", [*TASKS, *EXAMPLES])
+def test_nothing_is_wrong(name: str) -> None:
+    assert problems(lambda num_envs, seed, copy: envs.make(name, num_envs, seed, copy)) == []
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Environments that break the contract, each in one way
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class Meeting(meeting_numpy.Env):
+    """The example, to be broken."""
+
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__("meeting", num_envs, seed, copy)
+
+
+class NotFinite(Meeting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.rewards[e] = np.inf
+
+
+class OutOfBounds(Meeting):
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, rng)
+        self.observations[e, 0, 0] = -1
+
+
+class BothFlags(Meeting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.truncated[e] |= self.terminated[e]
+
+
+class NoAction(Meeting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.action_mask[e, 1] = False
+        self.terminated[e] = True
+
+
+class NumberedTeams(Meeting):
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.teams = (1, 2)
+
+
+class OtherType(Meeting):
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.agent_rewards = np.zeros((num_envs, 2))  # type: ignore[assignment]
+        self._connect()
+
+
+class OddStatistics(Meeting):
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.statistics["steps"] = np.zeros((num_envs, 1), np.float32)
+
+
+class NeverEnds(Meeting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.terminated[e] = self.truncated[e] = False
+
+
+class MovesOn(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        refused = super().step_envs(actions, playing)
+        if refused < 0:
+            self.observations[~playing] = CELLS - 1 - self.observations[~playing]
+        return refused
+
+
+class LowersFlags(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        self.terminated[~playing] = False
+        self.truncated[~playing] = True
+        return super().step_envs(actions, playing)
+
+
+class TakesAnything(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        return super().step_envs(np.clip(actions, 0, 2), playing)
+
+
+class MovesFirst(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        if forbidden_action(actions, self.action_mask) >= 0:
+            self.observations[:] = 0
+        return super().step_envs(actions, playing)
+
+
+class NoSeed(Meeting):
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, np.random.default_rng())
+
+
+class OneGenerator(Meeting):
+    """All sub-environments draw from the same generator."""
+
+    def reset_envs(self, mask: Any, seed: Any, episodes: Any) -> None:
+        rng = np.random.default_rng([int(seed), int(episodes[0]), self.num_envs])
+        for e in np.flatnonzero(mask).tolist():
+            self.reset_env(e, rng)
+
+
+class CountsItself(Meeting):
+    """Counts its episodes, which a resumed run does not know."""
+
+    count = 0
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        self.count += e == 0
+        super().reset_env(e, np.random.default_rng([e, self.count]))
+
+
+class ResetsAll(Meeting):
+    def reset_envs(self, mask: Any, seed: Any, episodes: Any) -> None:
+        super().reset_envs(np.ones_like(mask), seed, episodes)
+
+
+class NoCopies(Meeting):
+    def _outcome(self) -> Any:
+        return self._result
+
+
+CELLS = meeting_numpy.CELLS
+
+
+@pytest.mark.parametrize(
+    ("broken", "sentence"),
+    [
+        (NotFinite, "rewards has a value that is not a finite number."),
+        (OutOfBounds, "An observation lies outside the bounds"),
+        (BothFlags, "terminated and truncated at once"),
+        (NoAction, "The action mask forbids an agent all actions"),
+        (NumberedTeams, "env.teams must number the team of each of the 2 agents"),
+        (OtherType, "agent_rewards must be float32 (3, 2); the environment has float64 (3, 2)."),
+        (OddStatistics, "info['statistics']['steps'] must have the shape (3,); it has (3, 1)."),
+        (NeverEnds, "An episode goes on after env.episode_limit = 20 steps"),
+        (MovesOn, "A sub-environment that has finished goes on"),
+        (LowersFlags, "does not keep its flag up"),
+        (TakesAnything, "A step with an action that does not exist must raise ValueError."),
+        (MovesFirst, "A step with an action that does not exist changes the environment"),
+        (NoSeed, "The same seed does not play the same episodes"),
+        (OneGenerator, "Sub-environment 0 plays something else when there are others beside it."),
+        (CountsItself, "After env.episode = 2, a reset does not begin episode 2"),
+        (ResetsAll, "changes sub-environments that the mask does not name"),
+        (NoCopies, "With copy=True, a step writes into the arrays"),
+    ],
+)
+def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
+    found = problems(broken)
+    assert found and sentence in found[0], found
+
+
+@pytest.mark.parametrize(
+    ("flags", "code", "says"),
+    [
+        (["lbf-6x6-2p-2f"], 0, "lbf-6x6-2p-2f keeps the contract."),
+        (["gymnasium:lbforaging:Foraging-5x5-2p-1f-v3"], 1, "a resumed run would differ"),  # see `envs.foreign`
+        (
+            ["pettingzoo:mpe2.simple_spread_v3", "--env-kwargs", "N=2", "--max-episode-steps", "5"],
+            0,
+            "keeps the contract",
+        ),
+        (["lbf-6x6"], 2, "unknown task"),
+    ],
+)
+def test_the_program(flags: list[str], code: int, says: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "envs", "check", *flags], capture_output=True, text=True)
+    assert done.returncode == code and says in done.stdout + done.stderr, done.stderr
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The example, written three times
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_three_examples_play_the_same_game() -> None:
+    plain = meeting_numpy.Env("plain", 1, 0, True)
+    compiled = meeting_compiled.Env("compiled", 1, 0, True)
+    parallel = meeting_pettingzoo.Meeting()
+    rng = np.random.default_rng(0)
+    met = late = 0
+    for episode in range(60):
+        plain.reset()
+        compiled.reset()
+        parallel.reset(seed=episode)
+        plain.cell[0] = compiled.cell[0] = parallel.cell
+        done = False
+        while not done:
+            action = rng.integers(0, 3, (1, 2)) if episode % 2 else np.array([[1, 2]])  # or: away from each other
+            results = [env.step(action) for env in (plain, compiled)]
+            views, rewards, ends, time_outs, _ = parallel.step({"anna": action[0, 0], "ben": action[0, 1]})
+            for observations, reward, terminated, truncated, info in results:
+                np.testing.assert_array_equal(observations[0], [views["anna"], views["ben"]])
+                np.testing.assert_allclose(info["agent_rewards"][0], [rewards["anna"], rewards["ben"]], rtol=1e-6)
+                assert reward[0] == pytest.approx(sum(rewards.values()))
+                assert (terminated[0], truncated[0]) == (ends["anna"], time_outs["ben"])
+            done = ends["anna"] or time_outs["anna"]
+        met += ends["anna"]
+        late += time_outs["anna"]
+    assert met > 20 and late > 5
+
+
+def test_starts_are_two_cells() -> None:
+    """All pairs of different cells, in the plain and in the compiled rules."""
+    for module in (meeting_numpy, meeting_compiled):
+        env = module.Env("meeting", 2000, 0, True)
+        env.reset()
+        pairs = {tuple(pair) for pair in env.cell.tolist()}
+        assert pairs == {(a, b) for a in range(CELLS) for b in range(CELLS) if a != b}
+
+
+def test_a_team_learns_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best is 0.9 or so; agents who do not move earn -1."""
+    run = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)
+    env = envs.make("own:examples.meeting_numpy", 200, seed=9)
+    team = script("ippo").Team(run.args, run.parts["agents"], torch.Generator().manual_seed(0))
+    figure = script("ippo").evaluate(env, team, 1)["return_mean"]
+    print(f"mean return {figure:.2f}")
+    assert figure > 0.8

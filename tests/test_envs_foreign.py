@@ -1,0 +1,381 @@
+"""Environments that are not ours, through the adapters: agreement with the packages, and toys with every difficulty."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+from unittest.mock import ANY
+
+import gymnasium
+import lbforaging  # noqa: F401 (registers its environments)
+import numpy as np
+import pytest
+import rware  # noqa: F401 (registers its environments)
+from mpe2 import simple_speaker_listener_v4, simple_spread_v3
+from pettingzoo.sisl import pursuit_v5
+from scripts import NAMES, ROOT, parse, script
+from test_algos_families import few_updates
+from test_algos_runs import command, evaluations, main
+from toys import Queue
+
+import envs
+from envs.foreign import parse_kwargs
+from envs.vector import episode_seed
+
+SPREAD = "pettingzoo:mpe2.simple_spread_v3"
+LISTENER = "pettingzoo:mpe2.simple_speaker_listener_v4"
+PURSUIT = "pettingzoo:pettingzoo.sisl.pursuit_v5"
+FORAGING = "gymnasium:lbforaging:Foraging-5x5-2p-1f-v3"
+WAREHOUSE = "gymnasium:rware:rware-tiny-2ag-v2"
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Agreement with the packages
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def padded(vectors: list[Any], size: int) -> np.ndarray:
+    return np.array([np.pad(np.ravel(vector), (0, size - np.size(vector))) for vector in vectors], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "options"),
+    [
+        (SPREAD, lambda: simple_spread_v3.parallel_env(N=2), {"env_kwargs": "N=2"}),
+        (LISTENER, simple_speaker_listener_v4.parallel_env, {}),
+        (
+            PURSUIT,
+            lambda: pursuit_v5.parallel_env(max_cycles=20),
+            {"env_kwargs": "max_cycles=20", "flatten_images": True},
+        ),
+    ],
+)
+def test_parallel_environments(name: str, make: Any, options: dict[str, Any]) -> None:
+    """Two episodes, step by step beside the package's own environment with the same seeds."""
+    env, theirs = envs.make(name, 2, seed=3, **options), make()
+    rng = np.random.default_rng(0)
+    for episode in range(2):
+        observations, info = env.reset()
+        views, _ = theirs.reset(seed=episode_seed(3, 1, episode))
+        for _ in range(env.episode_limit):
+            np.testing.assert_array_equal(observations[1], padded(list(views.values()), env.obs_size))
+            np.testing.assert_array_equal(info["state"][1], np.ravel(theirs.state()).astype(np.float32))
+            actions = rng.integers(0, env.choices, (2, env.n_agents))
+            observations, rewards, terminated, truncated, info = env.step(actions)
+            views, own, ends, time_outs, _ = theirs.step(dict(zip(theirs.agents, actions[1].tolist())))
+            np.testing.assert_array_equal(info["agent_rewards"][1], np.array(list(own.values()), np.float32))
+            assert rewards[1] == pytest.approx(sum(own.values()), rel=1e-6)
+            assert (terminated[1], truncated[1]) == (all(ends.values()), all(time_outs.values()))
+        np.testing.assert_array_equal(observations[1], padded(list(views.values()), env.obs_size))  # after the end, too
+        assert truncated.all() and not terminated.any()
+
+
+@pytest.mark.parametrize(("name", "limit"), [(FORAGING, 50), (WAREHOUSE, 500)])
+def test_tuple_environments(name: str, limit: int) -> None:
+    env, theirs = envs.make(name, 2, seed=3), gymnasium.make(name.removeprefix("gymnasium:"), disable_env_checker=True)
+    assert (env.episode_limit, env.teams, env.state_is_observations) == (limit, (0, 0), True)
+    rng = np.random.default_rng(0)
+    ended = 0
+    for episode in range(3):
+        observations, _ = env.reset()
+        views, _ = theirs.reset(seed=episode_seed(3, 0, episode))
+        for step in range(1, limit + 1):
+            np.testing.assert_array_equal(observations[0], np.array(views))
+            actions = rng.integers(0, env.n_actions, (2, 2))
+            observations, rewards, terminated, truncated, info = env.step(actions)
+            own: Any
+            views, own, done, _, _ = theirs.step(tuple(actions[0].tolist()))
+            np.testing.assert_array_equal(info["agent_rewards"][0], np.array(own, np.float32))
+            assert rewards[0] == np.float32(sum(own))
+            assert (terminated[0] or truncated[0]) == done
+            assert not terminated[0] or step < limit  # the packages call the end of their clock a termination
+            if done:
+                break
+        ended += terminated[0]
+    assert ended > 0 or name == WAREHOUSE
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Toys, from tests/toys.py
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def toys(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Modules with a parallel_env, in a folder that is the current one."""
+    folder = tmp_path_factory.mktemp("toys")
+    for name in ("Queue", "Broken", "Odd"):
+        (folder / f"toy_{name.lower()}.py").write_text(
+            f"import sys\nsys.path.append({str(ROOT / 'tests')!r})\nfrom toys import {name} as parallel_env\n"
+        )
+    (folder / "toy_turns.py").write_text("def env(): pass\n")
+    (folder / "toy_nothing.py").write_text("")
+    (folder / "toy_import.py").write_text("import a_package_that_nobody_has\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield
+
+
+def test_unequal_agents_who_leave_early() -> None:
+    env = envs.make("pettingzoo:toy_queue", 2)
+    assert (env.n_agents, env.n_actions, env.choices, env.obs_size, env.state_size) == (3, 3, (2, 3, 2), 3, 2)
+    assert (env.episode_limit, env.teams) == (6, (0, 1, 0))
+    observations, info = env.reset()
+    assert observations[0].tolist() == [[0, 0, 0], [0, 1, 7], [0, 2, 0]]
+    assert info["state"][0].tolist() == [0, 3]
+    for step in range(1, 7):
+        masks = {  # of each agent: while it is there, and when it has left
+            0: [1, (step - 1) % 2, 0] if step <= 2 else [1, 0, 0],
+            1: [1, step % 2, 1] if step <= 3 else [1, 0, 0],
+            2: [1, 1, 0],
+        }
+        assert info["action_mask"][0].astype(int).tolist() == list(masks.values())
+        observations, rewards, terminated, truncated, info = env.step([[0, 0, 1]] * 2)
+        assert observations[0, 0].tolist() == ([step, 0, 0] if step < 2 else [0, 0, 0])
+        assert observations[0, 1].tolist() == ([step, 1, 7] if step < 3 else [0, 0, 0])
+        assert observations[0, 2].tolist() == [step, 2, 0]  # after the last step, too
+        own = [1 if step <= 2 else 0, 2 if step <= 3 else 0, 3]
+        assert info["agent_rewards"][0].tolist() == own
+        assert rewards[0] == own[0] + own[2]  # of team 0
+        assert not terminated.any() and truncated.tolist() == [step == 6] * 2
+    with pytest.raises(ValueError, match="agent 0: action 1 is forbidden"):
+        env.step([[1, 0, 0]] * 2)
+
+
+@pytest.mark.parametrize(("limit", "terminated", "truncated"), [(3, False, True), (9, False, True)])
+def test_max_episode_steps_cuts_episodes(limit: int, terminated: bool, truncated: bool) -> None:
+    env = envs.make("pettingzoo:toy_queue", 1, max_episode_steps=limit)
+    assert env.episode_limit == min(limit, 6)
+    env.reset()
+    results = [env.step([[0, 0, 0]]) for _ in range(env.episode_limit)]
+    assert [bool(result[3][0]) for result in results] == [False] * (env.episode_limit - 1) + [True]
+    assert not results[-1][2][0]
+
+
+@pytest.mark.parametrize(
+    ("variant", "steps", "reward", "own", "ends"),
+    [
+        ("", 5, 4, [1, 3], (False, True)),  # cut
+        ("one reward", 5, 2.5, [2.5, 2.5], (False, True)),
+        ("lists", 3, 4, [1, 3], (True, False)),
+        ("clock", 4, 4, [1, 3], (False, True)),  # it says "terminated" in its last step
+        ("masks", 5, 4, [1, 3], (False, True)),
+    ],
+)
+def test_tuples(variant: str, steps: int, reward: float, own: list[float], ends: tuple[bool, bool]) -> None:
+    env = envs.make("gymnasium:Tuples-v0", 1, env_kwargs={"variant": variant}, max_episode_steps=5)
+    assert (env.choices, env.obs_size) == ((2, 3), 10)
+    observations, info = env.reset()
+    assert observations[0, 1].argmax() == 0 and observations[0, 1].sum() == 1  # one-hot
+    for step in range(1, steps + 1):
+        assert not (env.terminated | env.truncated).any()
+        actions = [[0, 1]] if variant == "masks" and step > 1 else [[1, 0]]
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        assert (rewards[0], info["agent_rewards"][0].tolist()) == (reward, own)
+        assert observations[0, 0, 0] == step and observations[0, 1].argmax() == step
+        expected = [[1, 0, 0], [0, 1, 1]] if variant == "masks" else [[1, 1, 0], [1, 1, 1]]
+        assert info["action_mask"][0].astype(int).tolist() == expected
+    assert (terminated[0], truncated[0]) == ends
+
+
+def test_one_agent() -> None:
+    """Its time-out is Gymnasium's own."""
+    env = envs.make("gymnasium:CartPole-v1", 1, seed=1, max_episode_steps=5)
+    assert (env.n_agents, env.n_actions, env.obs_size, env.episode_limit) == (1, 2, 4, 5)
+    env.reset()
+    results = [env.step([[step % 2]]) for step in range(5)]
+    assert [result[1][0] for result in results] == [1] * 5 and results[-1][3][0]
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Worker processes
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_workers_play_what_one_process_plays() -> None:
+    """Five sub-environments in two workers, with a reset of some."""
+    here, there = envs.make(FORAGING, 5, seed=2), envs.make(FORAGING, 5, seed=2, env_workers=2)
+    rng = np.random.default_rng(0)
+    for episode in range(2):
+        mask = None if episode == 0 else {"reset_mask": np.array([True, False, True, True, False])}
+        np.testing.assert_array_equal(here.reset(options=mask)[0], there.reset(options=mask)[0])
+        for _ in range(30):
+            actions = rng.integers(0, 6, (5, 2))
+            for ours, theirs in zip(here.step(actions)[:4], there.step(actions)[:4]):
+                np.testing.assert_array_equal(ours, theirs)
+    there.close()
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [("error", r"(?s)worker process 0 .*Traceback.*ZeroDivisionError: the toy is broken"), ("killed", "exit code -9")],
+)
+def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
+    env = envs.make("pettingzoo:toy_broken", 3, env_kwargs={"how": how}, env_workers=2)
+    env.reset()
+    env.step([[0, 0, 0]] * 3)
+    with pytest.raises(RuntimeError, match=message):
+        env.step([[0, 0, 0]] * 3)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# What cannot work
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("gymnasium:Pendulum-v1", {}, "these algorithms need discrete ones"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='continuous'"}, "these algorithms need discrete ones"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='image'"}, r"\(4, 4\) as observations; --flatten-images"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='sequence'"}, "observations without a fixed size"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='no limit'"}, "says nowhere how long .*; --max-episode-steps does"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "sort='image'"}, "unexpected keyword argument 'sort'"),
+        ("pettingzoo:toy_turns", {}, "agents that act in turn"),
+        ("pettingzoo:toy_nothing", {}, "no function parallel_env"),
+        ("pettingzoo:toy_import", {}, "needs the module a_package_that_nobody_has"),
+        ("pettingzoo:toy_missing", {}, "there is no module toy_missing"),
+        ("pettingzoo:pettingzoo.sisl.pursuit_v4", {}, "use pursuit_v5 instead"),
+        ("gymnasium:Nothing-v0", {}, "doesn't exist"),
+        ("gymnasium:nothing:Nothing-v0", {}, "No module named 'nothing'"),
+        ("own:toy_nothing", {}, "toy_nothing has no class Env"),
+        ("own:toy_missing", {}, "there is no module toy_missing"),
+        ("lbf-8x8-2p-2f", {"env_workers": 2}, "--env-workers is for environments of PettingZoo and Gymnasium"),
+        ("lbf-8x8-2p-2f", {"max_episode_steps": 2}, "--max-episode-steps is for"),
+        ("lbf-8x8-2p-2f", {"env_kwargs": "sight=2"}, "--env-kwargs is for"),
+        (FORAGING, {"env_kwargs": "sight"}, "is not like the arguments in a call"),
+    ],
+)
+def test_one_clear_sentence(name: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(envs.InputError, match=message) as error:
+        envs.make(name, **options)
+    assert "\n" not in str(error.value)
+
+
+def test_an_environment_that_goes_on_longer_than_it_seemed_to_say() -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "wrong limit"})
+    assert env.episode_limit == 3
+    env.reset()
+    env.step([[0, 0, 0]])
+    env.step([[0, 0, 0]])
+    with pytest.raises(envs.InputError, match="goes on after 3 steps"):
+        env.step([[0, 0, 0]])
+    cut = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "no limit"}, max_episode_steps=4)
+    cut.reset()
+    assert [bool(cut.step([[0, 0, 0]])[3][0]) for _ in range(4)] == [False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("text", "kwargs"),
+    [("", {}), ("N=2", {"N": 2}), ("a=1.5, b='x y',c=[1, 2], d=None", {"a": 1.5, "b": "x y", "c": [1, 2], "d": None})],
+)
+def test_keyword_arguments(text: str, kwargs: dict[str, Any]) -> None:
+    assert parse_kwargs(text) == kwargs
+
+
+@pytest.mark.parametrize("text", ["2", "N", "N=x", "N=2)+f(M=1", "**{}", "N=2; M=1", "N=__import__('os')"])
+def test_what_is_no_keyword_argument(text: str) -> None:
+    with pytest.raises(envs.InputError, match="is not like the arguments"):
+        parse_kwargs(text)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The scripts
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", [SPREAD, LISTENER, PURSUIT, FORAGING, WAREHOUSE])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_few_updates(monkeypatch: pytest.MonkeyPatch, name: str, task: str) -> None:
+    few_updates(monkeypatch, name, task, True, max_episode_steps=10, flatten_images=task == PURSUIT)
+
+
+@pytest.mark.parametrize("task", ["pettingzoo:toy_queue", "gymnasium:CartPole-v1"])
+@pytest.mark.parametrize("name", NAMES)
+def test_agents_who_leave_and_a_single_agent(monkeypatch: pytest.MonkeyPatch, name: str, task: str) -> None:
+    """In the toy, teams oppose each other, unless they are told not to."""
+    monkeypatch.setattr(Queue, "teams", {"a": 0, "b": 0, "c": 0})
+    few_updates(monkeypatch, name, task, False)
+
+
+@pytest.mark.parametrize(
+    ("env", "family"),
+    [(SPREAD, "mpe"), (FORAGING, "lbf"), (WAREHOUSE, "rware"), (PURSUIT, ""), ("own:examples.meeting_numpy", "")],
+)
+def test_hyperparameters_of_known_families(env: str, family: str) -> None:
+    example = {"mpe": "mpe-spread", "lbf": "lbf-8x8-2p-2f-c", "rware": "rware-tiny-2p"}.get(family)
+    assert envs.task(env).family == family
+    ours, plain = parse("mappo", ["--env", env]), script("mappo").Args()
+    if example is None:
+        assert (ours.hidden_dim, ours.network, ours.total_timesteps) == (plain.hidden_dim, plain.network, 20_000_000)
+    else:
+        assert vars(ours) | {"env": example} == vars(parse("mappo", ["--env", example]))
+
+
+def test_killed_and_resumed_through_an_adapter(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
+    """kill -9 in the middle, with workers; the end is that of a run without workers which nothing interrupted."""
+    flags: list[Any] = [
+        "--env",
+        SPREAD,
+        "--total-timesteps",
+        2500,
+        "--eval-points",
+        11,
+        "--eval-episodes",
+        4,
+        "--hidden-dim",
+        16,
+    ]
+    with monkeypatch.context() as patch:
+        patch.setattr(signal, "signal", lambda number, handler: None)
+        script("ippo").train(parse("ippo", [*flags, "--run-dir", str(tmp_path / "whole")]))
+    process = subprocess.Popen(
+        command("ippo", *flags, "--env-workers", 2, "--run-dir", tmp_path / "run"), stderr=subprocess.DEVNULL
+    )
+    table = tmp_path / "run" / "evaluations.csv"
+    while not table.exists() or len(table.read_text().splitlines()) < 5:
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    assert len(evaluations(tmp_path / "run")) < 11
+    assert main(monkeypatch, capsys, "ippo", *flags, "--run-dir", tmp_path / "run", "--resume") == (0, ANY)
+    assert evaluations(tmp_path / "run") == evaluations(tmp_path / "whole")
+
+
+def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
+    """--watch plays the environment with the keyword arguments of the run, and films the environment's own pictures."""
+    flags: list[Any] = [
+        "--env",
+        SPREAD,
+        "--env-kwargs",
+        "N=2, max_cycles=5",
+        "--total-timesteps",
+        50,
+        "--eval-points",
+        2,
+    ]
+    flags += ["--eval-episodes", 2, "--run-dir", tmp_path / "run"]
+    assert main(monkeypatch, capsys, "ippo", *flags)[0] == 0
+    assert main(monkeypatch, capsys, "ippo", "--watch", tmp_path / "run", "--eval-episodes", 2)[0] == 0
+    assert (tmp_path / "run" / "film.gif").stat().st_size > 1000
+    flags[3] = "N=3"
+    code, said = main(monkeypatch, capsys, "ippo", *flags, "--resume")
+    assert code == 2 and "was begun with --env-kwargs N=2, max_cycles=5" in said
+
+
+def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    code, said = main(monkeypatch, capsys, "qmix", "--env", "pettingzoo:toy_turns")
+    assert code == 2 and "act in turn" in said and len(said.strip().splitlines()) == 1
+    code, said = main(monkeypatch, capsys, "qmix", "--env", "lbf-8x8-2p-2f", "--env-workers", "4")
+    assert code == 2 and "--env-workers" in said
+
+
+def test_the_table_of_tasks() -> None:
+    done = subprocess.run([sys.executable, "-m", "envs", SPREAD], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0 and SPREAD in done.stdout

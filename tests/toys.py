@@ -1,0 +1,116 @@
+"""Small environments of PettingZoo and Gymnasium with everything that an adapter must cope with."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+
+class Queue(ParallelEnv):
+    """Agent i leaves after its step i + 2, with a termination; agent 2 stays until the clock truncates it in step 6.
+
+    Observations are [step, agent] and, for agent 1, one value more; its actions are 5, 6 and 7, of which 6 is forbidden
+    in odd steps. Agent 0's mask is in its observation, agent 1's in its info. Each agent earns its number plus 1.
+    """
+
+    metadata = {"name": "queue"}  # noqa: RUF012
+    possible_agents = ["a", "b", "c"]  # noqa: RUF012
+    max_cycles = 6
+    teams = {"a": 0, "b": 1, "c": 0}  # noqa: RUF012
+
+    def observation_space(self, agent: str) -> Any:
+        box = spaces.Box(0, 9, (3 if agent == "b" else 2,), np.int64)
+        return spaces.Dict(observation=box, action_mask=spaces.MultiBinary(2)) if agent == "a" else box
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Discrete(3, start=5) if agent == "b" else spaces.Discrete(2)
+
+    def state(self) -> Any:
+        return np.array([self.steps, len(self.agents)])
+
+    def seen(self) -> dict[str, Any]:
+        vectors = {agent: np.array([self.steps, i, 7][: 3 if agent == "b" else 2]) for i, agent in enumerate("abc")}
+        a = {"observation": vectors["a"], "action_mask": np.array([1, self.steps % 2], np.int8)}
+        return {agent: a if agent == "a" else vectors[agent] for agent in self.agents}
+
+    def infos(self) -> dict[str, Any]:
+        masks = {"b": {"action_mask": np.array([1, self.steps % 2 == 0, 1], np.int8)}}
+        return {agent: masks.get(agent, {}) for agent in self.agents}
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.steps, self.agents = 0, list("abc")
+        return self.seen(), self.infos()
+
+    def step(self, actions: dict[str, int]) -> Any:
+        assert set(actions) == set(self.agents) and actions.get("b", 5) in (5, 6, 7)
+        self.steps += 1
+        seen, infos = self.seen(), self.infos()
+        leaves = {agent: agent != "c" and self.steps == "abc".index(agent) + 2 for agent in self.agents}
+        late = {agent: self.steps == self.max_cycles for agent in self.agents}
+        rewards = {agent: "abc".index(agent) + 1 for agent in self.agents}
+        self.agents = [agent for agent in self.agents if not leaves[agent] and not late[agent]]
+        return seen, rewards, leaves, late, infos
+
+
+class Tuples(gymnasium.Env):
+    """Two agents; the variants differ in what they return."""
+
+    def __init__(self, variant: str = "") -> None:
+        self.variant = variant
+        self.observation_space = spaces.Tuple([spaces.Box(0, 9, (1,), np.float32), spaces.Discrete(10)])
+        self.action_space = spaces.Tuple([spaces.Discrete(2), spaces.Discrete(3)])
+        if variant == "clock":
+            self.max_steps = 4
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.steps = 0
+        return (np.zeros(1, np.float32), 0), {}
+
+    def step(self, actions: Any) -> Any:
+        assert isinstance(actions, tuple)
+        self.steps += 1
+        reward: Any = 2.5 if self.variant == "one reward" else (1, 3)
+        info = {"action_mask": [[1, 0], [0, 1, 1]]} if self.variant == "masks" else {}
+        done: Any = [self.steps == 3] * 2 if self.variant == "lists" else self.steps == 4 and self.variant == "clock"
+        return (np.full(1, self.steps, np.float32), self.steps), reward, done, False, info
+
+
+class Broken(Queue):
+    """Breaks down in its second step, as its keyword argument says."""
+
+    def __init__(self, how: str) -> None:
+        self.how = how
+
+    def step(self, actions: dict[str, int]) -> Any:
+        if self.steps == 1 and self.how == "error":
+            raise ZeroDivisionError("the toy is broken")
+        if self.steps == 1 and self.how == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().step(actions)
+
+
+class Odd(Queue):
+    """One of the kinds that cannot be played, or only with help."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.max_cycles = 0 if kind == "no limit" else 6  # 0: nothing says when it ends
+        if kind == "wrong limit":
+            self.max_steps, self.max_cycles = 3, 0
+
+    def observation_space(self, agent: str) -> Any:
+        if self.kind == "image":
+            return spaces.Box(0, 1, (4, 4), np.float32)
+        return spaces.Sequence(spaces.Discrete(2)) if self.kind == "sequence" else super().observation_space(agent)
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Box(0, 1, (2,)) if self.kind == "continuous" else super().action_space(agent)
+
+
+gymnasium.register("Tuples-v0", lambda **kwargs: Tuples(**kwargs))
