@@ -7,6 +7,7 @@ import sys
 from scripts import ROOT
 
 README = (ROOT / "README.md").read_text()
+EXAMPLE = (ROOT / "examples" / "meeting_numpy.py").read_text()
 
 
 def run(program, folder):
@@ -14,7 +15,7 @@ def run(program, folder):
 
 
 def blocks():
-    """The README's two Python programs: a trained team, one random episode."""
+    """The README's Python programs: a trained team, one random episode, an environment."""
     return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -33,6 +34,18 @@ def test_the_trained_team_in_a_few_lines(tmp_path):
     assert len(lines) == 5  # as the README says, besides the two that make an environment
     done = run(program + "print(actions.shape)", tmp_path)
     assert done.stdout.strip() == "(4, 3)", done.stderr
+
+
+def test_an_environment_in_30_lines(tmp_path):
+    (tmp_path / "meeting.py").write_text(blocks()[2])
+    checked = subprocess.run([sys.executable, "-m", "envs", "check", "own:meeting"], cwd=tmp_path, capture_output=True)
+    assert checked.returncode == 0 and b"keeps the contract" in checked.stdout, checked.stderr
+    lines = [line for line in blocks()[2].splitlines() if line]
+    assert len(lines) <= 30
+    without_types = re.sub(
+        r": (int|bool|str|np\.\S+?)(?=[,)])|( -> None)|( {4}\"\"\".*\n)|(\"\"\"[^\"]*\"\"\"\n+)", "", EXAMPLE
+    )
+    assert without_types.split() == blocks()[2].split()  # the example has types and says what the game is
 
 
 def test_links_lead_somewhere():
