@@ -72,9 +72,7 @@ def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int 
     return f"film: {path}"
 
 
-def pettingzoo_env(
-    name: str, *, seed: int = 0, render_mode: str | None = None, strict: bool = False
-) -> PettingZooEnv:
+def pettingzoo_env(name: str, *, seed: int = 0, render_mode: str | None = None, strict: bool = False) -> PettingZooEnv:
     """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.as_pettingzoo` describes it.
 
     render_mode: None or "rgb_array".

@@ -53,7 +53,7 @@ def make_vec(
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     render_mode: str | None = None,
 ) -> Autoreset:
-    """What `gymnasium.make_vec` calls. The errors are those of `envs.make`, and InputError for a mode that is unknown."""
+    """What `gymnasium.make_vec` calls. Raises what `envs.make` raises, and InputError for an unknown mode."""
     modes = [mode.value for mode in AutoresetMode]
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")
@@ -110,7 +110,7 @@ class Autoreset(VectorWrapper):
         if not finished.any():
             return observations, rewards, terminated, truncated, last_info
         final: Info = {}
-        for i in np.flatnonzero(finished):
+        for i in np.flatnonzero(finished).tolist():
             own_info = {key: values[i] for key, values in last_info.items() if key != "statistics"}
             own_info["statistics"] = {name: values[i] for name, values in last_info["statistics"].items()}
             final = self._add_info(final, {"final_obs": observations[i], "final_info": own_info}, i)

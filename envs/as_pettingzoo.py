@@ -49,6 +49,7 @@ class PettingZooEnv(ParallelEnv):
         self.possible_agents = [f"agent_{i}" for i in range(self.env.n_agents)]
         self.teams = dict(zip(self.possible_agents, self.env.teams))
         bounds = self.env.single_observation_space
+        assert isinstance(bounds, Box)
         choices = getattr(self.env, "choices", (self.env.n_actions,) * self.env.n_agents)
         self.observation_spaces: dict[str, Box] = {}
         self.action_spaces: dict[str, Discrete] = {}
@@ -72,7 +73,7 @@ class PettingZooEnv(ParallelEnv):
         return dict(zip(self.agents, observations[0])), self._infos()
 
     def step(
-        self, actions: dict[str, int]
+        self, actions: dict[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Let every agent act. When the episode has ended, `agents` is empty.
 
@@ -96,7 +97,7 @@ class PettingZooEnv(ParallelEnv):
             infos,
         )
 
-    def _action(self, i: int, actions: dict[str, int]) -> int:
+    def _action(self, i: int, actions: dict[str, Any]) -> int:
         """What agent i does: its action, or the first allowed one if that is forbidden and we are not strict."""
         agent = self.possible_agents[i]
         if agent not in actions:
