@@ -5,7 +5,7 @@ finds the action masks, and keeps time-outs apart from terminals. All agents sha
 observations and learn from their own rewards (IPPO).
 
     pip install torchrl
-    python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 200000
+    python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 300000
 
 TorchRL 0.14.1 steps one environment after the other, some 600 steps per second in all.
 """
@@ -18,6 +18,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
@@ -32,14 +33,17 @@ def make_env(task: str, seed: int) -> EnvBase:
 
 
 def mean_return(env: EnvBase, policy: nn.Module | None, episodes: int) -> float:
-    """The team's mean return: the sum over the agents. Without a policy, agents take any action that is allowed."""
-    with torch.no_grad():
+    """The team's mean return: the sum over the agents. Without a policy, agents take any action that is allowed.
+
+    A policy draws its actions, as in training. By itself TorchRL would take the most probable ones in a rollout.
+    """
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         rollouts = [env.rollout(10_000, policy) for _ in range(episodes)]
     return sum(float(rollout["next", "agent", "reward"].sum()) for rollout in rollouts) / episodes
 
 
 def main(
-    task: str = "lbf-8x8-2p-2f-c", seed: int = 0, total_timesteps: int = 200_000, eval_episodes: int = 100
+    task: str = "lbf-8x8-2p-2f-c", seed: int = 0, total_timesteps: int = 300_000, eval_episodes: int = 100
 ) -> float:
     """Train, print the mean returns of a random team and of the trained team, and return the latter."""
     torch.manual_seed(seed)
@@ -71,7 +75,8 @@ def main(
     loss.make_value_estimator(gamma=0.99, lmbda=0.95)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
 
-    copies = SerialEnv(NUM_ENVS, [partial(make_env, task, seed * 1000 + 1 + i) for i in range(NUM_ENVS)])
+    seeds = torch.randint(2**31, (NUM_ENVS,)).tolist()
+    copies = SerialEnv(NUM_ENVS, [partial(make_env, task, each) for each in seeds])
     collector = Collector(copies, actor, frames_per_batch=BATCH, total_frames=total_timesteps)
     for number, batch in enumerate(collector):  # [env, time]
         with torch.no_grad():

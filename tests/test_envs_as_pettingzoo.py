@@ -82,11 +82,11 @@ def test_the_game_is_the_vectors(name: str) -> None:
 def test_own_actions_and_rewards() -> None:
     env = envs.pettingzoo_env(SPEAKER)
     assert [env.action_space(agent) for agent in env.possible_agents] == [Discrete(3), Discrete(5)]
-    env = envs.pettingzoo_env("mpe-tag-selfplay")
-    assert env.teams == {"agent_0": 0, "agent_1": 0, "agent_2": 0, "agent_3": 1}
-    env.reset(seed=1)
-    earned = [env.step(dict.fromkeys(env.agents, t % 5))[1] for t in range(25)]
-    assert any(rewards["agent_0"] != rewards["agent_3"] for rewards in earned)
+    env = envs.pettingzoo_env("mpe-adversary-selfplay")
+    assert env.teams == {"agent_0": 1, "agent_1": 0, "agent_2": 0}
+    env.reset()
+    rewards = env.step(dict.fromkeys(env.agents, 0))[1]
+    assert rewards["agent_0"] < 0 and rewards["agent_0"] != rewards["agent_1"] == rewards["agent_2"]
 
 
 def test_a_time_out_is_a_truncation_and_the_end_of_a_game_is_not() -> None:

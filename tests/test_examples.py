@@ -1,9 +1,14 @@
 """The programs of examples/ do what they say."""
 
+import re
 import subprocess
 import sys
+from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
+from gymnasium.vector import VectorWrapper
 from scripts import ROOT, load_module
 
 EXAMPLES = ROOT / "examples"
@@ -12,15 +17,38 @@ EXAMPLES = ROOT / "examples"
 def test_gymnasium_ppo_learns(capsys):
     returned = load_module(EXAMPLES / "ppo_gymnasium.py").main(task="lbf-5x5-2p-1f", seed=1)
     printed = capsys.readouterr().out.splitlines()
-    assert returned >= 0.95 and printed[-1].endswith(f"returned {returned:.3f}")
+    returns = [float(line.split()[-1]) for line in printed]
+    assert returns[0] < 0.85 and returns[-1] == round(returned, 3) >= 0.95  # random agents return 0.73
     assert len(printed) < 100  # of 488 updates
 
 
-def test_gymnasium_ppo_for_a_few_steps(capsys):
-    """A task with forbidden actions and with state, and a budget that is used up."""
+def test_gymnasium_ppo_uses_up_its_budget(capsys):
+    """In a task with forbidden actions."""
     returned = load_module(EXAMPLES / "ppo_gymnasium.py").main(task="mpe-speaker-listener", total_timesteps=3000)
     assert returned < 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["1,024", "2,048"]
+
+
+class Misleading(VectorWrapper):
+    """Pays a fortune in each step that does nothing but reset."""
+
+    finished: Any = False
+
+    def step(self, actions):
+        observations, rewards, terminated, truncated, info = self.env.step(actions)
+        rewards = rewards + 1000 * np.float32(self.finished)
+        self.finished = terminated | truncated
+        return observations, rewards, terminated, truncated, info
+
+
+def test_gymnasium_ppo_learns_nothing_from_steps_that_reset(capsys, monkeypatch):
+    example = load_module(EXAMPLES / "ppo_gymnasium.py")
+    example.main(total_timesteps=5000, goal=2)
+    expected = capsys.readouterr().out
+    make_vec = gymnasium.make_vec
+    monkeypatch.setattr(gymnasium, "make_vec", lambda *args, **options: Misleading(make_vec(*args, **options)))
+    example.main(total_timesteps=5000, goal=2)
+    assert capsys.readouterr().out == expected
 
 
 @pytest.mark.parametrize("name", ["ppo_gymnasium"])
@@ -44,5 +72,4 @@ def test_torchrl_for_a_few_steps(capsys):
     main = load_module(EXAMPLES / "ippo_torchrl.py").main
     returned = main(task="lbf-5x5-2p-1f", total_timesteps=2048, eval_episodes=3)
     printed = capsys.readouterr().out
-    assert printed.startswith("random team: mean return 0.") and f"trained team: mean return {returned:.3f}" in printed
-    assert 0 <= returned <= 1
+    assert re.fullmatch(rf"random team: mean return [01]\.\d+\ntrained team: mean return {returned:.3f}\n", printed)
