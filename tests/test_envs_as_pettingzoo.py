@@ -158,6 +158,7 @@ def test_what_is_returned_is_the_callers() -> None:
         observations[agent].fill(9)
         infos[agent]["action_mask"].fill(0)
     env.state().fill(9)
+    assert (env.state() != 9).any()
     outcomes = [each.step({"agent_0": 1, "agent_1": 2}) for each in (env, untouched)]
     for agent in env.agents:
         np.testing.assert_array_equal(outcomes[0][0][agent], outcomes[1][0][agent])
