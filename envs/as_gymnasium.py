@@ -53,7 +53,12 @@ def make_vec(
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     render_mode: str | None = None,
 ) -> Autoreset:
-    """What `gymnasium.make_vec` calls. Raises what `envs.make` raises, and InputError for an unknown mode."""
+    """What `gymnasium.make_vec` calls.
+
+    task, num_envs, seed: as in `envs.make`. The seed of a later reset(seed=...) takes the place of this one.
+    autoreset_mode, render_mode: see the module's docstring.
+    Raises what `envs.make` raises, and InputError for an unknown mode.
+    """
     modes = [mode.value for mode in AutoresetMode]
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")

@@ -17,6 +17,8 @@
 
 All agents play until the episode ends, which it does for all of them at once. An agent that is out of the game earlier,
 such as a dead unit, observes zeros, and its mask allows action 0 only.
+
+Copies that train side by side need different seeds: with the same one they play the same episodes.
 """
 
 from __future__ import annotations
