@@ -15,6 +15,7 @@ option autoreset_mode, one of `gymnasium.vector.AutoresetMode` or its value, say
     SAME_STEP   In the same step. What `step` returns with a flag that is up is the reward of the old episode, and the
                 first observation and info of the new one. The last ones of the old episode are info["final_obs"] and
                 info["final_info"], for those sub-environments that info["_final_obs"] and info["_final_info"] name.
+                (Before Gymnasium 1.4 its `RecordEpisodeStatistics` miscounts returns in this mode.)
     DISABLED    Not at all, as with `envs.make`: the loop calls reset(options={"reset_mask": finished}).
 
 The episodes are the same ones in all three modes. With render_mode="rgb_array" `render` returns a frame of each

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import DictInfoToList, NormalizeObservation, RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers.vector import DictInfoToList, NormalizeObservation, RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 import envs
@@ -23,6 +23,7 @@ import envs
 LBF = "lbf-5x5-2p-1f"  # terminates or runs out of time
 SPEAKER = "mpe-speaker-listener"  # has forbidden actions and statistics
 MODES = list(AutoresetMode)
+GYMNASIUM = tuple(int(number) for number in gymnasium.__version__.split(".")[:2])
 
 
 def make(task: str = LBF, num_envs: int = 3, **options: Any) -> Any:
@@ -217,6 +218,8 @@ def test_a_copy_goes_on_by_itself(mode: AutoresetMode, duplicate: Callable[[Any]
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_gymnasium_counts_episodes_right(mode: AutoresetMode) -> None:
+    if mode is AutoresetMode.SAME_STEP and GYMNASIUM < (1, 4):
+        pytest.skip("Gymnasium 1.2 and 1.3 forget the reward of an episode's first step in this mode")
     env = RecordEpisodeStatistics(make(num_envs=5, autoreset_mode=mode), buffer_length=10_000)
     rng = np.random.default_rng(0)
     _, info = env.reset()
@@ -250,6 +253,7 @@ def test_normalised_observations() -> None:
     np.testing.assert_allclose(values.std((0, 1)), 1, atol=0.3)
 
 
+@pytest.mark.skipif(GYMNASIUM < (1, 3), reason="Gymnasium 1.2 makes no lists of infos without masks")
 def test_infos_as_lists() -> None:
     env = DictInfoToList(make(SPEAKER, num_envs=2, autoreset_mode="SameStep"))
     env.reset()
@@ -297,6 +301,8 @@ def test_frames() -> None:
 
 def test_videos(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
+    from gymnasium.wrappers.vector import RecordVideo  # Gymnasium 1.2 does not have it
+
     env = RecordVideo(
         make(num_envs=4, render_mode="rgb_array"), str(tmp_path / "videos"), episode_trigger=lambda k: k < 2
     )
