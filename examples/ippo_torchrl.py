@@ -7,8 +7,8 @@ observations and learn from their own rewards (IPPO).
     pip install torchrl
     python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 300000
 
-TorchRL 0.14.1 took ten minutes of CPU time for these 300,000 steps, with PyTorch 2.13 and PettingZoo 1.27. A random team
-collects 0.5 % of the foods; the team with seed 0 collected 91.5 %.
+With TorchRL 0.14.1, PyTorch 2.13 and PettingZoo 1.27, these 300,000 steps took ten minutes of CPU time. Seed 0 reached a
+mean return of 0.915; that of a random team is 0.005.
 """
 
 from functools import partial
@@ -34,7 +34,7 @@ def make_env(task: str, seed: int) -> EnvBase:
 
 
 def mean_return(env: EnvBase, policy: nn.Module | None, episodes: int) -> float:
-    """The team's mean return: the sum over the agents. Without a policy, agents take any action that is allowed.
+    """The mean over episodes of what all agents together earn. Without a policy they take any action that is allowed.
 
     A policy draws its actions, as in training. By itself TorchRL would take the most probable ones in a rollout.
     """
