@@ -7,8 +7,8 @@ observations and learn from their own rewards (IPPO).
     pip install torchrl
     python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 300000
 
-With TorchRL 0.14.1, PyTorch 2.13 and PettingZoo 1.27, these 300,000 steps took ten minutes of CPU time. Seed 0 reached a
-mean return of 0.915; that of a random team is 0.005.
+With TorchRL 0.14.1, PyTorch 2.13 and PettingZoo 1.27, these 300,000 steps took ten minutes of CPU time. Seed 0 reached
+a mean return of 0.915; that of a random team is 0.005.
 """
 
 from functools import partial
