@@ -25,6 +25,7 @@ def network(inputs: int, outputs: int) -> nn.Module:
 def main(task: str = "lbf-5x5-2p-1f", seed: int = 0, total_timesteps: int = 500_000, goal: float = 0.95) -> float:
     """Train until the last 100 episodes return as much as the goal on average; returns that average."""
     num_envs, num_steps, gamma, gae_lambda, clip_coef, entropy_coef = 16, 64, 0.99, 0.95, 0.2, 0.01
+    torch.set_num_threads(1)  # more do not pay for networks this small
     torch.manual_seed(seed)
     env = RecordEpisodeStatistics(gymnasium.make_vec("marl/task", num_envs=num_envs, task=task, seed=seed))
     first, info = env.reset()
