@@ -12,8 +12,9 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from envs import as_gymnasium
 from envs.foreign import import_module, parse_kwargs
 from envs.runs import optional
 from envs.tasks import InputError, Task, task, task_names
@@ -30,9 +31,15 @@ __all__ = [
     "make",
     "make_for",
     "optional",
+    "pettingzoo_env",
     "task",
     "task_names",
 ]
+
+if TYPE_CHECKING:
+    from envs.as_pettingzoo import PettingZooEnv
+
+as_gymnasium.register()
 
 
 def make(
@@ -122,3 +129,16 @@ def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int 
 
     render.film(env, team, path, episodes)
     return f"film: {path}"
+
+
+def pettingzoo_env(name: str, *, seed: int = 0, render_mode: str | None = None, strict: bool = False) -> PettingZooEnv:
+    """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.as_pettingzoo` describes it.
+
+    render_mode: None or "rgb_array".
+    strict: whether an action that the mask forbids is an error. If not, the agent's first allowed action takes its
+    place, because PettingZoo's own tests, and libraries that know no masks, choose any action of the action space.
+    Raises InputError as `make` does, and for a render mode that the task does not have.
+    """
+    from envs.as_pettingzoo import PettingZooEnv  # imports PettingZoo
+
+    return PettingZooEnv(name, seed, render_mode, strict)
