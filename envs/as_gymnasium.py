@@ -63,7 +63,9 @@ def make_vec(
     modes = [mode.value for mode in AutoresetMode]
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")
-    return Autoreset(envs.make(task, num_envs, seed), AutoresetMode(autoreset_mode), render_mode)
+    return Autoreset(
+        envs.make(task, num_envs, seed, pictures=render_mode is not None), AutoresetMode(autoreset_mode), render_mode
+    )
 
 
 def rendering(env: VectorEnv, render_mode: str | None) -> dict[str, Any]:

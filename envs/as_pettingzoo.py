@@ -43,7 +43,7 @@ class PettingZooEnv(ParallelEnv):
 
     def __init__(self, name: str, seed: int, render_mode: str | None, strict: bool) -> None:
         """See `envs.pettingzoo_env`."""
-        self.env = envs.make(name, num_envs=1, seed=seed)
+        self.env = envs.make(name, num_envs=1, seed=seed, pictures=render_mode is not None)
         self.metadata = {"name": name, "is_parallelizable": True, **rendering(self.env, render_mode)}
         self.render_mode = render_mode
         self.strict = strict

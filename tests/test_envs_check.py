@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scripts import ROOT, script, trained
+from scripts import ROOT, load_module, script, trained
 
 import envs
 from envs.check import problems
 from envs.vector import VectorEnv, forbidden_action
 
-sys.path.append(str(ROOT))
-from examples import meeting_compiled, meeting_numpy, meeting_pettingzoo
+meeting_numpy: Any = load_module(ROOT / "examples" / "meeting_numpy.py")
+meeting_compiled: Any = load_module(ROOT / "examples" / "meeting_compiled.py")
+meeting_pettingzoo: Any = load_module(ROOT / "examples" / "meeting_pettingzoo.py")
 
 EXAMPLES = ["own:examples.meeting_numpy", "own:examples.meeting_compiled", "pettingzoo:examples.meeting_pettingzoo"]
 TASKS = [
@@ -85,7 +86,7 @@ class NumberedTeams(Meeting):
 class OtherType(Meeting):
     def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
         super().__init__(num_envs, seed, copy)
-        self.agent_rewards = np.zeros((num_envs, 2))  # type: ignore[assignment]
+        self.agent_rewards = np.zeros((num_envs, 2))
         self._connect()
 
 
