@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 from scripts import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -15,7 +16,7 @@ def run(program, folder):
 
 
 def blocks():
-    """The README's Python programs: a trained team, one random episode, an environment."""
+    """The README's Python programs: a trained team, one random episode, an environment, ours elsewhere."""
     return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -34,6 +35,12 @@ def test_the_trained_team_in_a_few_lines(tmp_path):
     assert len(lines) == 5  # as the README says, besides the two that make an environment
     done = run(program + "print(actions.shape)", tmp_path)
     assert done.stdout.strip() == "(4, 3)", done.stderr
+
+
+@pytest.mark.parametrize("index", [3, 4])
+def test_our_environments_in_your_code(index, tmp_path):
+    done = run(blocks()[index], tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_environment_in_30_lines(tmp_path):
