@@ -17,7 +17,8 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 import envs
-from envs.vector import forbidden_action
+from envs import kernels
+from envs.vector import episode_generator, episode_seed, forbidden_action
 
 TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")
 
@@ -449,3 +450,87 @@ def test_a_family_without_pictures() -> None:
     assert not env.can_draw
     with pytest.raises(ValueError, match="no picture"):
         env.frame()
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Families without compiled rules
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class Dice(envs.VectorEnv):
+    """One agent throws a die in each step, until it is a six; it may not take action 1 after an odd number."""
+
+    def __init__(self, num_envs: int, seed: int = 0) -> None:
+        super().__init__(
+            "dice", num_envs, seed, True, n_agents=1, n_actions=2, obs_size=1, episode_limit=99, low=0, high=6
+        )
+
+    def reset_env(self, e: int, rng: np.random.Generator) -> None:
+        self.throw(e, rng)
+
+    def step_env(self, e: int, actions: NDArray[np.int64], rng: np.random.Generator) -> None:
+        self.throw(e, rng)
+        self.rewards[e] = self.agent_rewards[e] = 1
+
+    def throw(self, e: int, rng: np.random.Generator) -> None:
+        self.observations[e] = rng.integers(1, 7)
+        self.terminated[e] = self.observations[e, 0, 0] == 6
+        self.action_mask[e, 0, 1] = self.observations[e, 0, 0] % 2 == 0
+
+
+def test_a_plain_family_draws_from_the_generator_of_the_episode() -> None:
+    env = Dice(3, seed=5)
+    for episode in range(4):
+        observations, _ = env.reset()
+        throws = [observations[:, 0, 0]]
+        while not env.terminated.all():
+            stood = env.terminated.copy()
+            observations, rewards, *_ = env.step(np.zeros((3, 1), int))
+            assert rewards.tolist() == (~stood).tolist()
+            throws.append(observations[:, 0, 0])
+        for index in range(3):
+            rng = episode_generator(5, index, episode)
+            alone = [rng.integers(1, 7)]
+            while alone[-1] != 6:
+                alone.append(rng.integers(1, 7))
+            assert [throw[index] for throw in throws] == alone + [6] * (len(throws) - len(alone))
+
+
+def test_a_plain_family_refuses_what_the_mask_forbids() -> None:
+    env = Dice(20)
+    observations, _ = env.reset()
+    odd = int(np.flatnonzero(observations[:, 0, 0] % 2)[0])
+    actions = np.zeros((20, 1), int)
+    actions[odd] = 1
+    with pytest.raises(ValueError, match=f"sub-environment {odd}, agent 0: action 1 is forbidden"):
+        env.step(actions)
+    np.testing.assert_array_equal(env.observations, observations)
+
+
+def test_the_two_checks_of_actions_agree() -> None:
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        mask = rng.random((4, 2, 3)) < 0.9
+        actions = rng.integers(-1, 4, (4, 2)) if rng.random() < 0.3 else rng.integers(0, 3, (4, 2))
+        found = forbidden_action(actions, mask)
+        assert found == kernels.forbidden_action(actions, mask)
+        refused += found >= 0
+    assert 50 < refused < 280
+
+
+def test_seeds_of_episodes_for_other_generators() -> None:
+    places = [(seed, index, episode) for seed in (0, 1, 2**63) for index in range(20) for episode in range(20)]
+    seeds = [episode_seed(*place) for place in places]
+    assert len(set(seeds)) == len(places) and all(0 <= seed < 2**31 for seed in seeds)
+    assert episode_seed(1, 2, 3) == episode_seed(1, 2, 3)
+
+
+def test_choices_of_unequal_agents() -> None:
+    """The spaces and the mask know them."""
+    env = envs.make("mpe-speaker-listener", 2)
+    assert env.choices == (3, 5) and env.action_space.shape == (2, 2)
+    _, info = env.reset()
+    assert info["action_mask"].sum(axis=2).tolist() == [[3, 5], [3, 5]]
+    draws = np.array([env.action_space.sample() for _ in range(200)])
+    assert draws[:, :, 0].max() == 2 and draws[:, :, 1].max() == 4
