@@ -490,7 +490,7 @@ def test_a_short_training_keeps_its_candidates(monkeypatch: pytest.MonkeyPatch, 
     assert (flags["env"], flags["network"], flags["parameter_sharing"]) == ("mpe-adversary-selfplay", "fc", False)
     found = opponents.candidates("mpe-adversary", directory)
     assert [(each["seed"], each["timestep"]) for each in found] == [(2, 0), (2, 50), (2, 100)]
-    assert found[0]["returns"].keys() == {"random", "cover both landmarks"}
+    assert found[0]["returns"].keys() == {"random", "cover both landmarks", "lead away"}
     when = (directory / "checkpoint.pt").stat().st_mtime_ns
     opponents.train("mpe-adversary", 2, directory)
     assert (directory / "checkpoint.pt").stat().st_mtime_ns == when
