@@ -119,7 +119,7 @@ class Training(NamedTuple):
 
 # The paper's opponents were trained for 25,000 episodes, 625,000 steps. Our adversaries go between the landmarks long
 # before, which is too hard: after 11,500 steps those of seeds 0, 1 and 2 leave a random team -4.3, -5.4 and -4.8; that
-# of seed 0, trained to the end, -5.1. Yet a team that learns beats them by tricks: MAA2C earned 20 against seed 0 of step
+# of seed 0, trained to the end, -5.1. Yet a team that learns beats them by tricks: MAA2C earned 20 against that of step
 # 437,500. Early ones, on the way to that place, are as hard as the paper's.
 TRAININGS = {"mpe-adversary": Training(12_000, 25), "mpe-tag": Training(625_000, 41)}
 
