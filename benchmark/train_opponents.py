@@ -11,8 +11,11 @@ returns against the paper's own opponents are known (`PROBES`): too easy an oppo
 less. Of the candidates with all returns within the bounds, that with the smallest sum of distances from the known
 returns, each in units of half the distance of its bounds, is written to envs/opponents/<task>.npz, and what was
 measured to <task>.json. An opponent that is there already is replaced only with --replace. The present ones come from
-    python benchmark/train_opponents.py --tasks mpe-adversary --seeds 0 1 2 3 4 5 6 7 8 9
+    python benchmark/train_opponents.py --tasks mpe-adversary --seeds 5
     python benchmark/train_opponents.py --tasks mpe-tag --seeds 0 1
+Ten seeds of the adversary were trained. Eight had candidates within the bounds, and scripted teams do not tell which of
+these a learning team can outwit. So MAA2C learned against three of them for up to a million steps. It earned 16.6 against
+seed 2, 16.0 against seed 6, and 12.7 against seed 5, where the paper's MAA2C came to 12.06 at its best.
 """
 
 import argparse
