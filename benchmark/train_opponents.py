@@ -14,8 +14,8 @@ measured to <task>.json. An opponent that is there already is replaced only with
     python benchmark/train_opponents.py --tasks mpe-adversary --seeds 5
     python benchmark/train_opponents.py --tasks mpe-tag --seeds 0 1
 Ten seeds of the adversary were trained. Eight had candidates within the bounds, and scripted teams do not tell which of
-these a learning team can outwit. So MAA2C learned against three of them for up to a million steps. It earned 16.6 against
-seed 2, 16.0 against seed 6, and 12.7 against seed 5, where the paper's MAA2C came to 12.06 at its best.
+these a learning team can outwit. So MAA2C learned against three of them, for up to a million steps. It earned 16.6
+against seed 2, 16.0 against seed 6, and 12.7 against seed 5; the paper's MAA2C came to 12.06 at its best.
 """
 
 import argparse
