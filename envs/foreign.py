@@ -107,9 +107,8 @@ class Game:
         if self.own_clock:
             self.clock = min(self.clock, self.own_clock)
         self.steps = 0
-        self.state_size: int | None = None
-        first = self.reset(0).state
-        self.state_size = None if first is None else len(first)
+        state = self.reset(0).state
+        self.state_size = None if state is None else len(state)
 
     def build(self, source: Source, more: Mapping[str, Any]) -> Any:
         """The environment, with more keyword arguments than the user gave."""
