@@ -88,7 +88,7 @@ def make(
     else:
         module = importlib.import_module(f"envs.{described.module}")
         given = {}
-    if described.module == "foreign":
+    if name.startswith(("pettingzoo:", "gymnasium:")):
         options["pictures"] = pictures
     elif options:
         flag = next(iter(options)).replace("_", "-")
