@@ -252,6 +252,12 @@ def test_starts_are_two_cells() -> None:
         assert pairs == {(a, b) for a in range(CELLS) for b in range(CELLS) if a != b}
 
 
+def test_an_own_module_may_have_any_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even the name of the module that holds the adapters."""
+    monkeypatch.setitem(sys.modules, "foreign", meeting_numpy)
+    assert isinstance(envs.make("own:foreign", 2), meeting_numpy.Env)
+
+
 def test_a_team_learns_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
     """The best is 0.9 or so; agents who do not move earn -1."""
     run = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)
