@@ -215,7 +215,9 @@ class Config(NamedTuple):
     n_allies: int
     episode_limit: int
     reward_scale: float
-    largest: float  # radius of a body
+    largest_body: float  # radius, in collisions
+    largest_radius: float
+    enemies_first: bool
     ally_shields: bool  # whether observations and state have a column for them
     enemy_shields: bool
     n_types: int  # bits for the type of a unit in observations and state
@@ -326,7 +328,8 @@ def tick(state, config, e):
     n_units = len(unit)
 
     healer_lives = False
-    for i in range(n_units):
+    for place in range(n_units):
+        i = (place + n_allies) % n_units if config.enemies_first else place
         me = unit[i]
         me.last_target = me.target
         if i < n_allies:
@@ -352,7 +355,7 @@ def tick(state, config, e):
     near, distance, line, projected = state.near, state.distance, state.line, state.projected
     for i in range(n_units):
         if unit[i].hp > 0:
-            avoid_collisions(unit, i, config.largest, edge, near_edges, near, distance, line, projected)
+            avoid_collisions(unit, i, config.largest_body, edge, near_edges, near, distance, line, projected)
 
     for place in range(n_units - 1, 0, -1):
         other = random_below(state.random, e, place + 1)
@@ -408,7 +411,7 @@ def find_target(unit, i, config, healer_lives):
     better_only = me.target != NOBODY
     if better_only and not (config.healers_first and healer_lives and not unit[me.target].heals):
         return
-    farthest = me.sight + config.largest
+    farthest = me.sight + config.largest_radius
     least = 2 * SECOND_CHOICE
     for j in range(config.n_allies):
         other = unit[j]
@@ -449,7 +452,7 @@ def speed_of_company(unit, i, config):
     """A healer of the enemies with nothing to do does not leave the units on the ground around it behind."""
     me = unit[i]
     speed = me.speed
-    farthest = me.sight + config.largest
+    farthest = me.sight + config.largest_radius
     for j in range(config.n_allies, len(unit)):
         other = unit[j]
         if other.hp > 0 and not other.flies and squared_distance(me, other) < farthest * farthest:
@@ -1041,7 +1044,9 @@ class Env(vector.VectorEnv):
             n_allies=n_allies,
             episode_limit=field.episode_limit,
             reward_scale=PERFECT / values,
-            largest=float(bodies.max()),
+            largest_body=float(bodies.max()),
+            largest_radius=max(unit.radius for unit in units),
+            enemies_first=field.enemies_first,
             ally_shields=ally_shields,
             enemy_shields=enemy_shields,
             n_types=n_types,

@@ -150,6 +150,7 @@ class Map:
     # only one.
     ally_types: tuple[str, ...] = ()
     enemy_types: tuple[str, ...] = ()
+    enemies_first: bool = False  # they still see in the first tick of a step whom allies attacked in the last one
     half_blocks: bool = False  # blocked 2x2 blocks in inner corners are blocked on one side of their diagonal only
 
 
@@ -191,6 +192,7 @@ LITE_MAPS = {
         Group(13.92, 20.04, ("spine crawler",)),
         (13.92, 20.04),
         SPINE_CRAWLER_HILL,
+        enemies_first=True,
     ),
     "3s5z": meeting(150, ("stalker",) * 3 + ("zealot",) * 5, ("stalker",) * 3 + ("zealot",) * 5, PROTOSS),
     "MMM2": meeting(
@@ -205,6 +207,7 @@ LITE_MAPS = {
         Group(27.91, 28.24, ("zergling",) * 24),
         (4.47, 4.33),
         TWO_ROOMS,
+        enemies_first=True,
     ),
     "3s_vs_5z": replace(meeting(250, ("stalker",) * 3, ("zealot",) * 5), walkable=ARENA),
     # Three smaller maps of SMAC: their sides and limits, on the plain of 3s5z and with its starts.

@@ -370,6 +370,30 @@ def test_ticks_between_attacks(name: str, attacker: int, ticks: int) -> None:
     assert passed == ticks
 
 
+@pytest.mark.parametrize("suffix", ["", "-sc2"])
+def test_an_enemy_sees_as_far_as_the_largest_unit_reaches_out(suffix: str) -> None:
+    """Of two zealots at the edge of its sight a zergling chooses the nearer, also where bodies are smaller (-sc2)."""
+    env = make(f"corridor{suffix}")
+    unit = put(env, {0: (20, 25.45), 1: (20, 14.6), 6: (20, 20)})
+    smaclite.tick(env.game, env.config, 0)
+    assert unit[6].target == 1
+
+
+@pytest.mark.parametrize(("name", "kept"), [("corridor", True), ("3s_vs_5z", False)])
+def test_whose_targets_are_looked_through_first(name: str, kept: bool) -> None:
+    """An ally out of reach that no longer attacks an enemy keeps it for one tick where enemies come first."""
+    env = make(name)
+    enemy = env.n_agents
+    unit = put(env, {0: (20, 24), 1: (21, 17.2), enemy: (20, 20)})
+    unit[0].order = unit[0].target = enemy
+    unit[enemy].target = 0
+    for agent in (0, 1):
+        smaclite.give_order(unit[agent], STOP, enemy)
+    for target in (0 if kept else 1, 1):
+        smaclite.tick(env.game, env.config, 0)
+        assert unit[enemy].target == target
+
+
 def test_a_shield_regenerates_after_ten_seconds() -> None:
     env = make("3s5z")
     me = env.game.unit[0, 0]
