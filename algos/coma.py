@@ -2,13 +2,13 @@
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the state and what the other agents do (a_-i), and values each
-action that agent i could take. So an action is compared with what the policy earns on average while
-the others do the same: this is the counterfactual baseline, and it shows each agent its own part in
-the team's success. Q' is a slowly moving copy of the critic Q.
+action that agent i could take. So an action is compared with the policy's average over all actions,
+while the others' actions stay as they are: this is the counterfactual baseline, and it shows each
+agent its own part in the team's success. Q' is a slowly moving copy of the critic Q.
 
-    G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n Q'_i(s_{t+n}, a_{t+n})
+    G_i,t     = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n Q'_i(s_{t+n}, a_{t+n})
     A_i,t     = Q_i(s_t, a_t) - sum_a pi_i(a | o_i,t) Q_i(s_t, (a, a_-i,t))
-    L(critic) = mean over t of sum over i of (G_t - Q_i(s_t, a_t))^2
+    L(critic) = mean over t of sum over i of (G_i,t - Q_i(s_t, a_t))^2
     L(actor)  = - mean [ A_i,t log pi_i(a_i,t | o_i,t) + e H(pi_i(. | o_i,t)) ]
 
 G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. The baseline does
@@ -20,7 +20,7 @@ Algorithm: Foerster et al., "Counterfactual Multi-Agent Policy Gradients" (2018)
 Papoudakis et al. (2021), arXiv:2006.07869. As in that paper's code, targets are n-step returns and
 not TD(lambda). The code replaced the last reward of an episode by a value; here the reward stays,
 and after a time-out the next state's value is added, at actions drawn there. The code also counted
-padding when it standardised rewards, and showed actors their ids without parameter sharing, too.
+padding when it standardised rewards, and gave actors their ids even without parameter sharing.
 
     python algos/coma.py --env lbf-15x15-3p-5f
     python algos/coma.py --watch runs/lbf-15x15-3p-5f/coma-shared/seed0
@@ -66,7 +66,7 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
     max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
     flatten_images: bool = False  # make vectors of its images
     env_workers: int = 0  # processes that play its episodes side by side (0: this one)
@@ -84,9 +84,9 @@ class Args:
     gamma: float = 0.99  # discount
     n_step: int = 5  # rewards in a return before it continues with a value
     entropy_coef: float = 0.001  # weight of the policies' entropy
-    max_grad_norm: float = 10.0  # actor's and critic's gradients are clipped to this norm; or inf
+    max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
     target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by this batch, or by all
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by batch, or all so far
     # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
@@ -132,7 +132,7 @@ class Network(nn.Module):
 
 
 class MultiAgentNetwork(nn.Module):
-    """One network for all agents (parameter sharing), or one for each. Actors, and critics too."""
+    """One network for all agents (parameter sharing), or one for each. For policies and values."""
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
@@ -231,13 +231,13 @@ def counterfactual_inputs(states: Tensor, actions: Tensor, n_actions: int) -> Te
     return torch.cat([states.unsqueeze(2).expand(-1, -1, n_agents, -1), seen], dim=-1)
 
 
-def counterfactual_advantages(values: Tensor, probs: Tensor, actions: Tensor) -> Tensor:
+def counterfactual_advantages(all_values: Tensor, probs: Tensor, actions: Tensor) -> Tensor:
     """The value of the action taken, less the mean value under the agent's policy.
 
-    values, probs: [time, env, agent, action]; actions: [time, env, agent].
+    all_values, probs: [time, env, agent, action]; actions: [time, env, agent].
     """
-    taken = values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
-    return taken - (probs * values).sum(-1)
+    taken = all_values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
+    return taken - (probs * all_values).sum(-1)
 
 
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
@@ -411,8 +411,8 @@ def train(args: Args) -> None:
     reason = "COMA's critic values joint actions by the team's reward"
     envs.check_one_team(env, args.individual_rewards, reason)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
-    seen = env.state_size + env.n_agents * env.n_actions
-    critic = MultiAgentNetwork(args, env.n_agents, seen, env.n_actions)
+    critic_size = env.state_size + env.n_agents * env.n_actions
+    critic = MultiAgentNetwork(args, env.n_agents, critic_size, env.n_actions)
     parts = {  # what a checkpoint keeps
         "agents": agents,
         "critic": critic,
@@ -455,7 +455,7 @@ class Run:
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         self.timestep = 0  # steps of all environments together
         self.updates = 0
-        self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
+        self.budget = args.total_timesteps  # a lengthened run keeps the spacing of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
@@ -490,7 +490,7 @@ class Run:
         )
 
     def evaluate_if_due(self) -> None:
-        """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
+        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
         reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
         while len(self.rows) * self.budget <= reached:
             point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training

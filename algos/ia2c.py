@@ -12,9 +12,9 @@ does not run away from the network that learns it.
     L(critic) = mean (G_t - V(o_t))^2
     L(actor)  = - mean [ A_t log pi(a_t | o_t) + e H(pi(. | o_t)) ]
 
-G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. Without A the step
-would make all actions likelier that were taken; A makes those likelier that were better than usual,
-and the others rarer.
+G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. Without A,
+the step would make every taken action likelier. With A, actions that went better than expected get
+likelier, and the others rarer.
 
 Algorithm: Mnih et al., "Asynchronous Methods for Deep Reinforcement Learning" (2016).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
@@ -67,7 +67,7 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
     max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
     flatten_images: bool = False  # make vectors of its images
     env_workers: int = 0  # processes that play its episodes side by side (0: this one)
@@ -85,9 +85,9 @@ class Args:
     gamma: float = 0.99  # discount
     n_step: int = 5  # rewards in a return before it continues with a value
     entropy_coef: float = 0.001  # weight of the policies' entropy
-    max_grad_norm: float = 10.0  # actor's and critic's gradients are clipped to this norm; or inf
+    max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
     target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by this batch, or by all
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by batch, or all so far
     # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
@@ -133,7 +133,7 @@ class Network(nn.Module):
 
 
 class MultiAgentNetwork(nn.Module):
-    """One network for all agents (parameter sharing), or one for each. Actors, and critics too."""
+    """One network for all agents (parameter sharing), or one for each. For policies and values."""
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
@@ -423,7 +423,7 @@ class Run:
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         self.timestep = 0  # steps of all environments together
         self.updates = 0
-        self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
+        self.budget = args.total_timesteps  # a lengthened run keeps the spacing of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
@@ -458,7 +458,7 @@ class Run:
         )
 
     def evaluate_if_due(self) -> None:
-        """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
+        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
         reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
         while len(self.rows) * self.budget <= reached:
             point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training

@@ -8,7 +8,7 @@ it (Gumbel-softmax, straight through). One environment plays one episode. Then a
 make one gradient step each, on a batch of whole episodes from the replay. Q' and mu' are older or
 slowly moving copies; mu' takes the likeliest action.
 
-    y_i,t     = r_t + gamma Q'_i(s_t+1, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))
+    y_i,t     = r_t + gamma Q'_i(s_{t+1}, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
     L(actor)  = mean over agents and steps of - Q_i(s_t, (a_i, a_-i)) + c mean_a logit_i(a)^2
 
@@ -18,7 +18,7 @@ with a gradient and a_-i without; c, --actor-regularisation, keeps them from bec
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
 (2017). Hyperparameters: Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out
 counts as an end. Its code left out the steps that end an episode, trained on padding, and began the
-target network's GRU one step late. We do not; in foraging our results are better than its tables.
+target network's GRU one step late. We do not; in foraging our results are better than the paper's.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0
@@ -64,7 +64,7 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
     max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
     flatten_images: bool = False  # make vectors of its images
     env_workers: int = 0  # processes that play its episodes side by side (0: this one)
@@ -81,10 +81,10 @@ class Args:
     gamma: float = 0.99  # discount
     actor_regularisation: float = 0.001  # weight of the squared logits
     batch_size: int = 32  # episodes of an update; each new episode brings one update
-    buffer_size: int = 5000  # episodes in the replay; fewer where these are a million steps
-    max_grad_norm: float = 10.0  # actor's and critic's gradients are clipped to this norm; or inf
+    buffer_size: int = 5000  # episodes in the replay, but at most a million steps of them
+    max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
     target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by this batch, or by all
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by batch, or all so far
     # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
@@ -130,7 +130,7 @@ class Network(nn.Module):
 
 
 class MultiAgentNetwork(nn.Module):
-    """One network for all agents (parameter sharing), or one for each. Actors, and critics too."""
+    """One network for all agents (parameter sharing), or one for each. For policies and values."""
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
@@ -356,21 +356,21 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
         logits = target_agents(batch.observations)[0]  # [time + 1, env, agent, action]
         greedy = torch.where(batch.action_masks, logits, -torch.inf).argmax(-1)
         greedy = nn.functional.one_hot(greedy, n_actions)  # [time + 1, env, agent, action]
-        seen = with_joint_actions(batch.states[1:], greedy[1:].unsqueeze(2))
-        next_values = target_critic(seen)[0].squeeze(-1)  # [time, env, agent]
+        critic_inputs = with_joint_actions(batch.states[1:], greedy[1:].unsqueeze(2))
+        next_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time, env, agent]
         next_values = next_values.masked_fill(batch.no_bootstrap.unsqueeze(-1), 0.0)
         targets = rewards + args.gamma * next_values
 
     taken = nn.functional.one_hot(batch.actions, n_actions)  # [time, env, agent, action]
-    seen = with_joint_actions(batch.states[:-1], taken.unsqueeze(2))
-    values = critic(seen)[0].squeeze(-1)  # [time, env, agent]
+    critic_inputs = with_joint_actions(batch.states[:-1], taken.unsqueeze(2))
+    values = critic(critic_inputs)[0].squeeze(-1)  # [time, env, agent]
     critic_loss = played_mean((targets - values).square(), batch.played)
     critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
 
     logits = agents(batch.observations[:-1])[0]  # [time, env, agent, action]
     masks = batch.action_masks[:-1]
-    # The noise comes from PyTorch's global generator; gumbel_softmax can use no other. This one is
-    # what `train` seeds and a checkpoint keeps, so a resumed run draws the same noise.
+    # The noise comes from PyTorch's global generator; gumbel_softmax can use no other. On the CPU
+    # this is what `train` seeds and a checkpoint keeps, so a resumed run draws the same noise.
     available = logits.masked_fill(~masks, -1e9)
     drawn = nn.functional.gumbel_softmax(available, hard=True)
     own = torch.eye(n_agents, dtype=torch.bool, device=logits.device).unsqueeze(-1)  # [i, j, 1]
@@ -402,8 +402,8 @@ def train(args: Args) -> None:
     env = envs.make_for(args, 1, args.seed)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
-    seen = env.state_size + env.n_agents * env.n_actions
-    critic = MultiAgentNetwork(args, env.n_agents, seen, 1)
+    critic_size = env.state_size + env.n_agents * env.n_actions
+    critic = MultiAgentNetwork(args, env.n_agents, critic_size, 1)
     parts = {  # what a checkpoint keeps
         "agents": agents,
         "target_agents": deepcopy(agents),
@@ -455,7 +455,7 @@ class Run:
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         self.timestep = 0  # steps of all environments together
         self.updates = 0
-        self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
+        self.budget = args.total_timesteps  # a lengthened run keeps the spacing of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
@@ -490,7 +490,7 @@ class Run:
         )
 
     def evaluate_if_due(self) -> None:
-        """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
+        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
         reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
         while len(self.rows) * self.budget <= reached:
             point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training

@@ -65,7 +65,7 @@ PAPER = {
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    env_kwargs: str = ""  # of a pettingzoo: or gymnasium: environment, such as "N=2, local_ratio=1"
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
     max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
     flatten_images: bool = False  # make vectors of its images
     env_workers: int = 0  # processes that play its episodes side by side (0: this one)
@@ -84,10 +84,10 @@ class Args:
     epsilon_end: float = 0.05  # share of random actions at last
     epsilon_anneal: int = 200_000  # steps from the first share to the last
     batch_size: int = 32  # episodes of an update; each new episode brings one update
-    buffer_size: int = 5000  # episodes in the replay; fewer where these are a million steps
+    buffer_size: int = 5000  # episodes in the replay, but at most a million steps of them
     max_grad_norm: float = 10.0  # gradients are clipped to this norm; or inf
     target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by this batch, or by all
+    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by batch, or all so far
     # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_epsilon: float = 0.05  # share of random actions in evaluations
@@ -134,7 +134,7 @@ class Network(nn.Module):
 
 
 class MultiAgentNetwork(nn.Module):
-    """One network for all agents (parameter sharing), or one for each. Actors, and critics too."""
+    """One network for all agents (parameter sharing), or one for each. For policies and values."""
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
@@ -427,7 +427,7 @@ class Run:
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         self.timestep = 0  # steps of all environments together
         self.updates = 0
-        self.budget = args.total_timesteps  # a lengthened run keeps the distance of its evaluations
+        self.budget = args.total_timesteps  # a lengthened run keeps the spacing of its evaluations
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
@@ -462,7 +462,7 @@ class Run:
         )
 
     def evaluate_if_due(self) -> None:
-        """Evaluates, and saves, at the first end of a batch at or after each evaluation point."""
+        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
         reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
         while len(self.rows) * self.budget <= reached:
             point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training

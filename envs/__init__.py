@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -85,6 +86,10 @@ def make(
         if not hasattr(module, "Env"):
             raise InputError(f"{name}: the module {described.module} has no class Env.")
         given = options.pop("env_kwargs", {})
+        try:
+            inspect.signature(module.Env).bind(name, num_envs, seed, copy, **given)
+        except TypeError as error:
+            raise InputError(f"{name}: {error}.") from None
     else:
         module = importlib.import_module(f"envs.{described.module}")
         given = {}
@@ -92,7 +97,8 @@ def make(
         options["pictures"] = pictures
     elif options:
         flag = next(iter(options)).replace("_", "-")
-        raise InputError(f"--{flag} is for environments of PettingZoo and Gymnasium; {name} has its own rules.")
+        others = ", or of your own" if flag == "env-kwargs" else ""
+        raise InputError(f"--{flag} is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules.")
     too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
     if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
         raise too_large

@@ -13,6 +13,7 @@ import sys
 
 import envs
 from envs.check import problems
+from envs.runs import check_flags
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -25,6 +26,16 @@ def row(name: str) -> tuple[str, ...]:
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
 
+def show(parser: argparse.ArgumentParser, text: str) -> None:
+    """Print what was asked for."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
+        if not isinstance(error, BrokenPipeError):  # that is a reader such as `head`, which has seen enough
+            parser.exit(2, f"This cannot be written: {error}.\n")
+
+
 def check_task(argv: list[str]) -> None:
     """Check a task, and say what is wrong."""
     parser = argparse.ArgumentParser(prog="python -m envs check", description="The contract is in envs/vector.py.")
@@ -33,17 +44,19 @@ def check_task(argv: list[str]) -> None:
     parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
     parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
     parser.add_argument("--env-workers", type=int, default=0, help="processes that play the episodes")
-    args = vars(parser.parse_args(argv))
+    flags = parser.parse_args(argv)
+    args = vars(flags)
     name = args.pop("name")
 
     def make(num_envs: int, seed: int, copy: bool) -> envs.VectorEnv:
         return envs.make(name, num_envs, seed, copy, **args)
 
     try:
+        check_flags(flags)
         found = problems(make)
     except envs.InputError as error:
         parser.exit(2, f"{error}\n")
-    print("\n".join(found) or f"{name} keeps the contract.")
+    show(parser, "\n".join(found) or f"{name} keeps the contract.")
     sys.exit(1 if found else 0)
 
 
@@ -63,12 +76,7 @@ def main(argv: list[str]) -> None:
     for line in table:
         cells = (cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True))
         lines.append("  ".join((line[0].ljust(widths[0]), *cells)))
-    try:
-        print("\n".join(lines), flush=True)
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
-        if not isinstance(error, BrokenPipeError):  # that is a reader such as `head`, which has seen enough
-            parser.exit(2, f"The table cannot be written: {error}.\n")
+    show(parser, "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -106,10 +106,16 @@ def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: l
     others = [word for word in argv if word not in ("-h", "--help")]
     default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
     if len(others) < len(argv):
-        show_help(args_class, default, doc or "")
+        try:
+            show_help(args_class, default, doc or "")
+            sys.stdout.flush()
+        except BrokenPipeError:  # a reader such as `head` has seen enough
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (Python flushes it once more when it exits)
         sys.exit()
     args: Any = tyro.cli(args_class, args=argv, default=default)
     check_flags(args)
+    if args.watch == "" and any(word.partition("=")[0] == "--watch" for word in argv):
+        raise InputError("--watch needs the directory of a run.")  # an unset variable of a shell, for example
     if args.device == "cuda":
         import torch
 
@@ -156,7 +162,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
         if paragraph.startswith("    "):  # formulas and commands keep their lines
             print(paragraph, end="\n\n")
         else:
-            print(textwrap.fill(" ".join(paragraph.split()), width), end="\n\n")
+            print(textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False), end="\n\n")
     for line in inspect.getsource(args_class).splitlines():
         title = re.fullmatch(r" {4}# (.+)", line)
         field = re.fullmatch(r" {4}(\w+): (.+?) = .+?  # (.+)", line)
@@ -178,7 +184,8 @@ def show_help(args_class: type, default: Any, description: str) -> None:
             if len(head) > column:  # the flag takes a line of its own
                 print(head)
                 head = " " * column
-            print(textwrap.fill(text, max(width, column + 30), initial_indent=head, subsequent_indent=" " * column))
+            wrapper = textwrap.TextWrapper(max(width, column + 30), head, " " * column, break_on_hyphens=False)
+            print(wrapper.fill(text))
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -231,11 +238,9 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
             return dict(saved)
         except Exception:  # torch.load raises almost anything on a damaged file
             damaged.append(path.name)
-    if damaged == ["checkpoint.new.pt"] and not Path(directory, "evaluations.csv").exists():
-        return None  # the very first one, cut off while it was written
-    if damaged:
-        raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged)}).")
-    return None
+    if damaged in ([], ["checkpoint.new.pt"]) and not Path(directory, "evaluations.csv").exists():
+        return None  # the very first one has not been written, or not to its end
+    raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged) or 'they are gone'}).")
 
 
 @contextlib.contextmanager
@@ -337,8 +342,9 @@ class RunDirectory:
 
         saved = {"config": self.config, "rows": rows, "seconds": self.seconds(), **state}
         last, previous, new = (self.path / name for name in CHECKPOINTS)
-        with open(new, "wb") as file:  # torch.save would end with a RuntimeError on a full disk, were it given a path
-            torch.save(saved, file)
+        in_memory = io.BytesIO()  # on a full disk torch.save itself would end with a RuntimeError
+        torch.save(saved, in_memory)
+        new.write_bytes(in_memory.getbuffer())
         if last.exists():
             last.replace(previous)
         new.replace(last)
@@ -399,7 +405,7 @@ class EpisodeFile:
             raise InputError(f"{path} is gone (a complete run deletes it), so this run cannot go on.")
         elif path.stat().st_size != room:
             raise InputError(f"{path} is damaged: it has another length than the replay of this run.")
-        print(f"{path} takes {mib} {where} ({memory / 2**20:,.0f} free) while the run lasts.", file=sys.stderr)
+        say(f"{path} takes {mib} {where} ({memory / 2**20:,.0f} free) while the run lasts.")
         if room > memory:
             raise InputError(f"{path} would take {mib}, more than the free memory.")
         if played == 0:
@@ -440,6 +446,15 @@ class EpisodeFile:
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json
 
 
+def say(text: str) -> None:
+    """Writes a line to stderr, above a progress bar. A closed terminal, or a pipe that nobody reads, is no failure."""
+    try:
+        tqdm.write(text, file=sys.stderr)
+        sys.stderr.flush()
+    except OSError:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
+
+
 def in_words(results: Mapping[str, float]) -> str:
     """The results of an evaluation in one line."""
     return ", ".join(f"{name} {value:.3f}" for name, value in results.items())
@@ -452,11 +467,11 @@ class Log:
         """path: of the run's directory. What TensorBoard's file says of steps after `timestep` is taken back."""
         from torch.utils.tensorboard import SummaryWriter
 
-        write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         if args.track:
             wandb = optional("wandb")
             name = safe_name(str(path))
             wandb.init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
+        write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
         self.begun_at = self.timestep = timestep
         self.started = self.shown = time.monotonic()
@@ -465,14 +480,14 @@ class Log:
         self.lengths: deque[float] = deque(maxlen=100)
         self.writer = SummaryWriter(str(path), purge_step=timestep + 1 if resumed else None)
         self.bar = tqdm(total=self.total, initial=timestep, unit=" steps", unit_scale=True, disable=None)
-        self.bar.write(f"This run is kept in {path}", file=sys.stderr)
+        say(f"This run is kept in {path}")
 
     def evaluation(self, timestep: int, results: Mapping[str, float]) -> None:
         """Shows an evaluation."""
         self.last_evaluation = results["return_mean"]
         for name, value in results.items():
             self.writer.add_scalar(f"evaluation/{name}", value, timestep)
-        self.bar.write(f"step {timestep:,}: {in_words(results)}", file=sys.stderr)
+        say(f"step {timestep:,}: {in_words(results)}")
 
     def batch(
         self, timestep: int, returns: Sequence[float], lengths: Sequence[float], metrics: Mapping[str, Any]
@@ -568,7 +583,7 @@ class StopSignals:
 
     def exit(self, timestep: int) -> None:
         """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""
-        print(f"Stopped at step {timestep:,}; the same command with --resume goes on.", file=sys.stderr)
+        say(f"Stopped at step {timestep:,}; the same command with --resume goes on.")
         sys.exit(128 + (self.received or 0))
 
 
@@ -576,8 +591,9 @@ class StopSignals:
 def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
 
-    Such reasons are wrong input, a full disk or a lack of memory. A process that was started with closed output
-    (`2>&-`) has no stream to write to; it gets one that leads nowhere.
+    Such reasons are wrong input, a full disk or a lack of memory. Ctrl-C before a run can save anything ends with exit
+    code 130. A process that was started with closed output (`2>&-`) has no stream to write to; it gets one that leads
+    nowhere.
     """
     if sys.stdout is None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
@@ -586,8 +602,10 @@ def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except (InputError, OSError, MemoryError) as error:
-        print(f"{Path(script).stem}: {str(error) or 'there is not enough memory.'}", file=sys.stderr)
+        say(f"{Path(script).stem}: {str(error) or 'there is not enough memory.'}")
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
 
 
 PACKAGES = ("torch", "numpy", "gymnasium", "numba")

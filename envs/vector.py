@@ -355,7 +355,8 @@ class EpisodeTotals:
 
     def means(self) -> dict[str, float]:
         """Means over the episodes: return_mean, return_std and episode_length, what the family reports, and the mean
-        returns of the members of other teams than team 0, whose return is the first."""
+        returns of the members of other teams than team 0, whose return is the first. A statistic that is not a number
+        (of a game that crashed) does not count."""
         means = {
             "return_mean": self.returns.mean(),
             "return_std": self.returns.std(),
@@ -364,7 +365,7 @@ class EpisodeTotals:
         for team in sorted(set(self.teams.tolist()) - {0}):
             means[f"team_{team}_return_mean"] = self.agent_returns[:, self.teams == team].mean()
         for name, values in self.statistics.items():
-            means[name] = values.mean()
+            means[name] = np.nanmean(values) if np.isfinite(values).any() else np.nan
         return {name: float(value) for name, value in means.items()}
 
 

@@ -346,6 +346,16 @@ def test_closed_streams(tmp_path):
     assert len(evaluations(tmp_path / "run")) == 2
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+def test_a_reader_that_leaves(tmp_path):
+    """Help for `head`, and a run behind `tee`, which Ctrl-C ends too."""
+    flags = ["--env", "matrix-climbing", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
+    for line in (command("mappo", "--help"), command("mappo", *flags, "--run-dir", tmp_path / "run")):
+        shell = f"{' '.join(line)} 2>&1 | true; exit ${{PIPESTATUS[0]}}"
+        assert subprocess.run(["bash", "-c", shell]).returncode == 0
+    assert len(evaluations(tmp_path / "run")) == 2
+
+
 class TestWrongInput:
     def refused(self, monkeypatch, capsys, *flags, name="mappo"):
         code, said = main(monkeypatch, capsys, name, *flags)
@@ -377,13 +387,17 @@ class TestWrongInput:
     def test_no_cuda(self, monkeypatch, capsys):
         assert "CUDA" in self.one_sentence(self.refused(monkeypatch, capsys, "--device", "cuda"))
 
-    def test_watching_nothing(self, monkeypatch, capsys, tmp_path):
-        self.one_sentence(self.refused(monkeypatch, capsys, "--watch", tmp_path))
+    @pytest.mark.parametrize("flags", [["--watch", "."], ["--watch", ""], ["--watch="]])
+    def test_watching_nothing(self, monkeypatch, capsys, tmp_path, flags):
+        monkeypatch.chdir(tmp_path)
+        self.one_sentence(self.refused(monkeypatch, capsys, *flags))
+        assert not list(tmp_path.iterdir())
 
     def test_tracking_without_wandb(self, monkeypatch, capsys, tmp_path):
         monkeypatch.setitem(sys.modules, "wandb", None)
         said = self.refused(monkeypatch, capsys, *short("mappo"), "--track", "--run-dir", tmp_path / "run")
         assert "wandb" in self.one_sentence(said)
+        assert [path.name for path in (tmp_path / "run").iterdir()] == ["lock"]  # it can be begun without --track
 
     def test_a_directory_that_holds_a_run(self, finished, monkeypatch, capsys):
         name, directory = finished

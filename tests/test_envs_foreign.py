@@ -246,9 +246,10 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
         ("gymnasium:nothing:Nothing-v0", {}, "No module named 'nothing'"),
         ("own:toy_nothing", {}, "toy_nothing has no class Env"),
         ("own:toy_missing", {}, "there is no module toy_missing"),
+        ("own:examples.meeting_numpy", {"env_kwargs": "N=2"}, "unexpected keyword argument 'N'"),
         ("lbf-8x8-2p-2f", {"env_workers": 2}, "--env-workers is for environments of PettingZoo and Gymnasium"),
         ("lbf-8x8-2p-2f", {"max_episode_steps": 2}, "--max-episode-steps is for"),
-        ("lbf-8x8-2p-2f", {"env_kwargs": "sight=2"}, "--env-kwargs is for"),
+        ("lbf-8x8-2p-2f", {"env_kwargs": "sight=2"}, "--env-kwargs is for .*, or of your own"),
         (FORAGING, {"env_kwargs": "sight"}, "is not like the arguments in a call"),
     ],
 )

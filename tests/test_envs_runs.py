@@ -1,9 +1,11 @@
 """What all runs need of the file system and the machine: flags, directories, tables, the file of a replay."""
 
 import csv
+import errno
 import math
 import os
 import signal
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -162,6 +164,15 @@ class TestDirectory:
             open_directory(directory)
         assert open_directory(directory, resume=True).checkpoint() is None
 
+    def test_a_run_whose_checkpoints_are_gone_is_not_begun_anew(self, tmp_path: Path) -> None:
+        """That would overwrite its evaluations."""
+        directory = tmp_path / "run"
+        directory.mkdir()
+        for name in ("progress.json", "evaluations.csv"):
+            (directory / name).write_text("mine")
+        with pytest.raises(InputError, match="they are gone"):
+            open_directory(directory, resume=True).checkpoint()
+
 
 class TestEpisodeFile:
     """Episodes of at most four steps: the number of the episode in each step, and what was played."""
@@ -229,6 +240,24 @@ class TestEpisodeFile:
             self.begin(tmp_path, size=7, played=13)
         with pytest.raises(InputError, match="does not hold the last episodes"):
             self.begin(tmp_path, played=14)
+
+
+def test_a_closed_terminal_is_no_failure(monkeypatch: Any) -> None:
+    """Nor is what Python still flushes when the process ends."""
+
+    def closed(*text: str) -> None:
+        raise OSError(errno.EIO, "the terminal is gone")
+
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=closed, flush=closed))
+    runs.say("one")
+    assert sys.stderr.name == os.devnull
+    runs.say("two")
+
+
+def test_ctrl_c_before_there_is_anything_to_save() -> None:
+    with pytest.raises(SystemExit) as ended, runs.one_sentence("mappo.py"):
+        raise KeyboardInterrupt
+    assert ended.value.code == 130
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

@@ -295,11 +295,17 @@ def test_the_command_line() -> None:
     ("shell", "code", "said"),
     [
         ("{} matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
+        ("{} check matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
+        (
+            "{} check matrix-climbing --env-workers -1",
+            2,
+            "--env-workers -1: the value must lie between 0 and 10,000.\n",
+        ),
         ("{} nothing 2>&-", 2, ""),
         pytest.param(
             "{} matrix-climbing > /dev/full",
             2,
-            "The table cannot be written: [Errno 28] No space left on device.\n",
+            "This cannot be written: [Errno 28] No space left on device.\n",
             marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux"),
         ),
     ],

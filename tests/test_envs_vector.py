@@ -138,6 +138,10 @@ def test_totals_of_episodes_of_unequal_length() -> None:
         "team_1_return_mean": 3.0,
         "steps": 3.0,
     }
+    totals.statistics["steps"][:2] = np.nan, 5  # of a game that crashed
+    assert totals.means()["steps"] == 4.5
+    totals.statistics["steps"][:] = np.nan
+    assert np.isnan(totals.means()["steps"])
 
 
 def test_one_team_unless_a_family_says_otherwise() -> None:
