@@ -12,9 +12,10 @@ battle is won, lost or drawn, a termination; the map's number of steps, a trunca
 dead_allies, dead_enemies.
 
 Each sub-environment has a game of its own, a gigabyte of memory, in a worker process; close the environment to end
-them. The game takes its seed when it starts: an episode depends on what was played before, so a resumed run goes on
-well, but not bit for bit as it would have. Where the game crashes, the package starts a new one; the episode is
-truncated, and its statistics are not a number.
+them. Evaluations play all their episodes at once, so --eval-episodes 10 needs ten games. The game takes its seed when
+it starts: an episode depends on what was played before, so a resumed run goes on well, but not bit for bit as it would
+have. Where the game crashes, the package starts a new one; the episode is truncated, and its statistics are not a
+number.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
 from envs import vector
@@ -33,6 +35,7 @@ from envs.tasks import InputError
 from envs.workers import Games
 
 STATISTICS = ("battle_won", "dead_allies", "dead_enemies")
+GAME_BYTES = 2**30  # of memory, roughly
 
 
 def require(map_name: str) -> None:
@@ -98,8 +101,17 @@ class Env(vector.VectorEnv):
     """SMAC; see the module's docstring."""
 
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, *, map_name: str) -> None:
-        """map_name: of the package. Raises InputError where the package, the game or the map is missing."""
+        """map_name: of the package.
+
+        Raises InputError where the package, the game or the map is missing, and for more games than fit into memory.
+        """
         require(map_name)
+        room = int(psutil.virtual_memory().available // GAME_BYTES)
+        if num_envs > room:
+            raise InputError(
+                f"{name}: {num_envs} games at once take a gigabyte of memory each, and {room} are free; "
+                "--eval-episodes and --num-envs say how many there are."
+            )
         self._battles = Games(name, functools.partial(Battle, map_name), num_envs, n_workers=num_envs)
         self.num_envs = num_envs
         sizes = self._start(seed)

@@ -7,8 +7,10 @@ import importlib.util
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
 import envs
@@ -158,6 +160,13 @@ def test_what_is_missing_is_named(log: Path, monkeypatch: pytest.MonkeyPatch) ->
     if importlib.util.find_spec("pysc2") is None:
         with pytest.raises(envs.InputError, match="needs the package pysc2; pip install"):
             envs.make("smac-3m")
+
+
+def test_more_games_than_memory(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=2.9 * 2**30))
+    envs.make("smac-3m", 2).close()
+    with pytest.raises(envs.InputError, match="3 games at once take a gigabyte of memory each, and 2 are free"):
+        envs.make("smac-3m", 3)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("smac") is not None, reason="a package of that name is installed")

@@ -18,7 +18,7 @@ def test_gymnasium_ppo_learns(capsys):
     returned = load_module(EXAMPLES / "ppo_gymnasium.py").main(task="lbf-5x5-2p-1f", seed=1)
     printed = capsys.readouterr().out.splitlines()
     returns = [float(line.split()[-1]) for line in printed]
-    assert returns[0] < 0.85 and returns[-1] == round(returned, 3) >= 0.95  # random agents return 0.73
+    assert returns[0] < 0.85 and returns[-1] == round(returned, 3) >= 0.95  # random agents return 0.71
     assert len(printed) < 100  # of 488 updates
 
 
