@@ -19,12 +19,10 @@ import filelock
 import pandas as pd
 
 from envs import runs
-from results import RESULTS, read_settings, table_path
+from results import COLUMNS, RESULTS, read_evaluations, read_json, read_settings, read_table, table_path
 
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
 NOT_COMPLETE = "it is not complete"
-DAMAGED = "its evaluations.csv is damaged"
-COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
 SECONDS = ["wall_seconds", "cpu_seconds"]
 ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "preloaded")
 
@@ -36,25 +34,16 @@ def read_text(path: Path) -> pd.DataFrame:
 
 def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     """The config and the evaluations of a complete run. Raises ValueError for any other."""
-    try:
-        config = json.loads((directory / "config.json").read_text())
-    except ValueError as error:
-        raise ValueError(f"its config.json is damaged: {error}") from error
-    missing = [name for name in ("algorithm", "flags", "changed", "paper_timesteps") if name not in config]
-    if missing:
-        raise ValueError(f"its config.json does not have {', '.join(missing)}, as those of older versions")
+    config = read_json(directory / "config.json", {"seed": int})
     path = directory / "evaluations.csv"
-    rows = read_text(path) if path.exists() and path.stat().st_size else pd.DataFrame()
-    if rows.empty:
+    if not path.exists() or not path.stat().st_size:
         raise ValueError(NOT_COMPLETE)
-    if not set(COLUMNS) <= set(rows.columns):
-        raise ValueError(DAMAGED)
-    numbers = rows[COLUMNS].apply(pd.to_numeric, errors="coerce")
-    if numbers.isna().any(axis=None):
-        raise ValueError(DAMAGED)
-    if numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
+    numbers = read_evaluations(path, COLUMNS)
+    if list(numbers["point"]) != list(range(len(numbers))):
+        raise ValueError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
+    if numbers.empty or numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
         raise ValueError(NOT_COMPLETE)
-    return config, rows
+    return config, read_text(path)
 
 
 def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any], rows: pd.DataFrame) -> pd.DataFrame:
@@ -103,15 +92,21 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
     results.mkdir(parents=True, exist_ok=True)
     with filelock.FileLock(results / ".lock"):
         settings = read_settings(path)
-        table = pd.DataFrame()
-        if settings["seeds"]:
+        read_table(path, settings)  # ValueError where it is damaged
+        table = pd.DataFrame({"seed": []})
+        if table_file.exists():
+            read_evaluations(table_file, ["seed", *COLUMNS])  # the same where the settings are missing
             table = read_text(table_file)
-            table = table[table["seed"].isin(settings["seeds"].keys())]
         seed = str(flags["seed"])
+        if not settings["seeds"] and set(table["seed"]) - {seed}:
+            raise ValueError(
+                f"{table_file} holds other seeds, but {settings_file.name}, which lists them, is missing: bring it "
+                "back, or move the table away and collect all seeds again"
+            )
         if seed in settings["seeds"] and not replace:
             there = table.loc[table["seed"] == seed, "return_mean"]
             if list(there) != list(rows["return_mean"]):
-                origin = settings["seeds"][seed]["commit"]
+                origin = settings["seeds"][seed].get("commit")
                 raise ValueError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
         table = merge(settings, table, config, rows)
         text = io.StringIO()

@@ -13,6 +13,8 @@ The names are for people; programs read the JSON. A seed counts once the JSON li
 """
 
 import hashlib
+import io
+import itertools
 import json
 import re
 from pathlib import Path
@@ -33,6 +35,11 @@ PAPER_RUNS = 2250  # 9 algorithms, 25 tasks, with and without sharing, 5 seeds
 PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
 KEY = ["task", "algorithm", "sharing", "setting"]
+COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
+PARTS = {
+    **{"algorithm": str, "changed": dict, "paper_timesteps": int},
+    **{"env": str, "parameter_sharing": bool, "total_timesteps": int},  # these among the flags
+}
 LONGEST_NAME = 200  # file systems stop at 255
 
 
@@ -63,31 +70,82 @@ def table_path(results: Path, algorithm: str, task: str, sharing: bool, changed:
     return results / safe_task / safe_name
 
 
+def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
+    """The settings of a run or of a table. ValueError where a part is missing or of another type than in PARTS.
+
+    more: further parts and their types.
+    """
+    try:
+        said = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged: {error}") from error
+    if not isinstance(said, dict) or not isinstance(said.get("flags"), dict):
+        raise ValueError(f"{file} is damaged: it has no flags")
+    found = said["flags"] | said
+    if wrong := [name for name, kind in (PARTS | more).items() if not isinstance(found.get(name), kind)]:
+        raise ValueError(f"{file} is damaged, or of an older version: what it says of {', '.join(wrong)} is not valid")
+    return said
+
+
 def read_settings(path: Path) -> dict[str, Any]:
-    """A table's JSON, path without its suffix; where there is none, that of a table without seeds."""
+    """A table's JSON, path without its suffix; where there is none, that of a table without seeds.
+
+    ValueError where it is damaged.
+    """
     file = Path(f"{path}.json")
     if not file.exists():
         return {"seeds": {}}
-    try:
-        settings = json.loads(file.read_text())
-    except ValueError as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
-    if "changed" not in settings:
-        raise ValueError(f"{file} was written by an older version: it does not say which flags were changed")
+    settings = read_json(file, {"seeds": dict})
+    if not all(seed.isdecimal() and isinstance(origin, dict) for seed, origin in settings["seeds"].items()):
+        raise ValueError(f"{file} is damaged: what it says of its seeds is not valid")
     return settings
 
 
+def read_evaluations(file: Path, columns: list[str]) -> pd.DataFrame:
+    """The evaluations of a run or of a table, as numbers. ValueError where they are not as they were written.
+
+    columns: must be there, with a number in every row. The statistics that a family has beyond them may be missing:
+    a game that crashed has none.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+        if not text.endswith("\n"):
+            raise ValueError("it does not end with a whole line")
+        table = pd.read_csv(io.StringIO(text))
+        if missing := [name for name in columns if name not in table]:
+            raise ValueError(f"it has no column {', '.join(missing)}")
+        numbers = table.to_numpy(float)
+        if np.isinf(numbers).any() or table[columns].isna().any(axis=None):
+            raise ValueError("it has a number that is missing or infinite")
+    except ValueError as error:
+        raise ValueError(f"{file} is damaged: {str(error).strip()}") from error
+    return table
+
+
 def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
-    """A table's evaluations of the seeds that its settings list; path without its suffix."""
+    """A table's evaluations of the seeds that its settings list; path without its suffix.
+
+    ValueError where it is damaged: each seed has the points 0, 1, ..., all equally many, up to the budget.
+    """
     if not settings["seeds"]:
         return pd.DataFrame()
-    table = pd.read_csv(f"{path}.csv")
-    return table[table["seed"].isin([int(seed) for seed in settings["seeds"]])]
+    file = Path(f"{path}.csv")
+    table = read_evaluations(file, ["seed", *COLUMNS])
+    seeds = sorted(int(seed) for seed in settings["seeds"])
+    table = table[table["seed"].isin(seeds)].sort_values(["seed", "point"])
+    points = len(table) // len(seeds)
+    if not points or [*zip(table["seed"], table["point"])] != [*itertools.product(seeds, range(points))]:
+        raise ValueError(f"{file} is damaged: evaluations are missing or there twice")
+    if table["timestep"].iloc[points - 1 :: points].min() < settings["flags"]["total_timesteps"]:
+        raise ValueError(f"{file} is damaged: the last evaluations are missing")
+    return table
 
 
 def has_seed(results: Path, algorithm: str, task: str, sharing: bool, changed: dict[str, Any], seed: int) -> bool:
-    """Whether the results hold this run; `changed` as its config.json would have it."""
-    settings = read_settings(table_path(results, algorithm, task, sharing, changed))
+    """Whether the results hold this run; `changed` as its config.json would have it. ValueError for a damaged table."""
+    path = table_path(results, algorithm, task, sharing, changed)
+    settings = read_settings(path)
+    read_table(path, settings)
     return str(seed) in settings["seeds"] and settings["changed"] == changed
 
 

@@ -306,16 +306,23 @@ def last_line(log: Path) -> str:
 
 
 # --- before it runs ---
-def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
-    """Prints the plan, and what is left of it in core hours, from a short timing of each setting.
+def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
+    """Prints the plan, and what is left of it in core hours, from a short timing of each setting. Gives the exit code:
+    1 where a table of the results is damaged.
 
     The timing counts the processor's time, so that what else the machine does hardly matters.
     """
     steps: dict[tuple[str, str, bool], float] = {}
     examples: dict[tuple[str, str, bool], Run] = {}
+    code = 0
     for run in runs:
-        if in_results(run, results):
-            print(f"{run}: in the results")
+        try:
+            if in_results(run, results):
+                print(f"{run}: in the results")
+                continue
+        except (ValueError, OSError) as error:
+            print(f"{run}: would fail, {error}")
+            code = 1
             continue
         try:
             there = plan.condition(run)
@@ -329,7 +336,7 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
             steps[setting] = steps.get(setting, 0) + run.total_timesteps * (1 - share)
     if not examples:
         print("Nothing is left to run.")
-        return
+        return code
     print(
         f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s of the processor each: one thread, training"
     )
@@ -345,6 +352,7 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> None:
             name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
             print(f"{name}: {rate:,.0f} steps/s, {left:.2f} core hours", flush=True)
     print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s).")
+    return code
 
 
 def parse() -> argparse.Namespace:
@@ -384,8 +392,7 @@ def run_campaign(args: argparse.Namespace) -> int:
         except fast_mkl.NotPossible as reason:
             print(f"--fast-mkl: {reason}; the runs go on without.", file=sys.stderr)
     if args.dry_run:
-        dry_run(runs, results, jobs)
-        return 0
+        return dry_run(runs, results, jobs)
     start: Callable[[Run], Job] = LocalJob
     places: Callable[[], int] = functools.partial(int, jobs)
     if args.ray:

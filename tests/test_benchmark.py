@@ -156,7 +156,7 @@ def test_a_lengthened_run_and_other_columns_do_not_mix(tmp_path):
     "name, text, said",
     [
         ("config.json", '{"algorithm": "map', "config.json is damaged"),
-        ("config.json", '{"flags": {}}', "does not have algorithm, changed, paper_timesteps"),
+        ("config.json", '{"flags": {}}', "what it says of algorithm, changed, paper_timesteps, env, "),
         ("evaluations.csv", f"{COLUMNS}\n0,0,0,0,1,1,25\n1,2500000,1,1,", "evaluations.csv is damaged"),
         ("evaluations.csv", "hello\n1\n", "evaluations.csv is damaged"),
     ],
@@ -168,6 +168,151 @@ def test_damaged_runs_are_named_and_do_not_stop_the_others(tmp_path, name, text,
     done = run("collect.py", tmp_path / "runs", "--results", tmp_path / "results")
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
     assert {row["seed"] for row in table(tmp_path / "results")} == {"1"}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda config: None,
+        lambda config: 3,
+        lambda config: config | {"flags": []},
+        lambda config: config | {"changed": []},
+        lambda config: config | {"flags": {k: v for k, v in config["flags"].items() if k != "seed"}},
+        lambda config: config | {"flags": config["flags"] | {"total_timesteps": "many"}},
+    ],
+)
+def test_an_odd_config_is_damaged(tmp_path, damage):
+    file = make_run(tmp_path / "run") / "config.json"
+    file.write_text(json.dumps(damage(json.loads(file.read_text()))))
+    with pytest.raises(ValueError, match=r"config\.json is damaged"):
+        collect.collect_run(tmp_path / "run", tmp_path / "results")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda lines: lines[:1] + lines[2:],  # the first evaluation is gone
+        lambda lines: lines[:2] + lines[3:],
+        lambda lines: [*lines[:3], *lines[2:]],
+        lambda lines: [lines[0], *lines[:0:-1]],
+        lambda lines: [line.replace("25.0", "inf") for line in lines],
+        lambda lines: [line.replace("10.5", "nan") for line in lines],
+        lambda lines: [line.replace("10.5", "ten") for line in lines],
+        lambda lines: [*lines[:-1], lines[-1][:-2]],
+        lambda lines: ["<<<<<<< HEAD\n", *lines],
+        lambda lines: ["\n"],
+    ],
+)
+def test_odd_evaluations_are_damaged(tmp_path, damage):
+    file = make_run(tmp_path / "run", returns=(0.0, 5.0, 7.0, 10.5)) / "evaluations.csv"
+    file.write_text("".join(damage(file.read_text().splitlines(keepends=True))))
+    with pytest.raises(ValueError, match=r"evaluations\.csv is damaged"):
+        collect.collect_run(tmp_path / "run", tmp_path / "results")
+
+
+def test_a_statistic_may_be_missing(tmp_path):
+    """A game that crashed has none; but it is never infinite."""
+    file = make_run(tmp_path / "run") / "evaluations.csv"
+    text = file.read_text().replace("length\n", "length,battle_won\n").replace("25.0\n", "25.0,nan\n")
+    file.write_text(text.replace("25.0,nan\n", "25.0,\n", 1))
+    collect.collect_run(tmp_path / "run", tmp_path / "results")
+    assert [row["battle_won"] for row in table(tmp_path / "results")] == ["", "nan"]
+    assert results.load(tmp_path / "results")["battle_won"].isna().all()
+    file.write_text(text.replace("nan", "inf"))
+    with pytest.raises(ValueError, match="missing or infinite"):
+        collect.collect_run(tmp_path / "run", tmp_path / "results")
+
+
+def lines_of(table, seed):
+    return [line for line in table if line.startswith(f"{seed},")]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda lines: [],
+        lambda lines: lines[:1],
+        lambda lines: lines[: len(lines) * 3 // 4],
+        lambda lines: lines[:1] + lines_of(lines, 0),  # the file is cut between two seeds
+        lambda lines: lines[:3] + lines[4:6] + lines[7:],  # both seeds lack a point
+        lambda lines: [line for line in lines if ",2500000," not in line],
+        lambda lines: [*lines[:-1], lines[-1][:-1]],
+        lambda lines: [*lines, *lines_of(lines, 1)],
+        lambda lines: ["<<<<<<< HEAD\n", *lines],
+        lambda lines: [line.replace("seed", "sead") for line in lines],
+        lambda lines: [line.replace("point", "pint") for line in lines],
+        lambda lines: [line.replace("10.5", "ten") for line in lines],
+        lambda lines: [line.encode().decode("utf-16-le", "replace") for line in lines],
+    ],
+)
+def test_a_damaged_table_is_named_by_all(tmp_path, monkeypatch, capsys, damage):
+    there = tmp_path / "results"
+    for seed in range(2):
+        path = collect.collect_run(make_run(tmp_path / str(seed), seed, returns=(0.0, 5.0, 10.5)), there)
+    path.write_text("".join(damage(path.read_text().splitlines(keepends=True))), encoding="utf-8")
+    before = path.read_bytes()
+    said = f"{path.name} is damaged"
+    with pytest.raises(ValueError, match=said):
+        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0)
+    with pytest.raises(ValueError, match=said):
+        collect.collect_run(make_run(tmp_path / "2", 2, returns=(0.0, 5.0, 10.5)), there)
+    for flags in (["--results", there, "--output", tmp_path / "out"], ["--grid", there]):
+        monkeypatch.setattr(sys, "argv", ["report.py", *map(str, flags)])
+        with pytest.raises(SystemExit, match="2"):
+            report.main()
+        assert said in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda settings: 3,
+        lambda settings: None,
+        lambda settings: [],
+        lambda settings: {},
+        *(lambda settings, name=name: {k: v for k, v in settings.items() if k != name} for name in ("flags", "seeds")),
+        lambda settings: {k: v for k, v in settings.items() if k != "paper_timesteps"},
+        lambda settings: settings | {"seeds": ["0"]},
+        lambda settings: settings | {"seeds": {"none": {}}},
+        lambda settings: settings | {"seeds": {"0": 3}},
+        lambda settings: settings | {"changed": []},
+    ],
+)
+def test_damaged_settings_are_named(tmp_path, damage):
+    there = tmp_path / "results"
+    path = collect.collect_run(make_run(tmp_path / "0"), there).with_suffix(".json")
+    path.write_text(json.dumps(damage(json.loads(path.read_text()))))
+    before = path.read_text()
+    with pytest.raises(ValueError, match=f"{path.name} is damaged"):
+        results.load(there)
+    with pytest.raises(ValueError, match=f"{path.name} is damaged"):
+        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0)
+    with pytest.raises(ValueError, match=f"{path.name} is damaged"):
+        collect.collect_run(make_run(tmp_path / "1", 1), there)
+    assert path.read_text() == before
+
+
+def test_lost_settings_do_not_cost_the_other_seeds(tmp_path):
+    there = tmp_path / "results"
+    path = collect.collect_run(make_run(tmp_path / "0", 0), there)
+    collect.collect_run(make_run(tmp_path / "1", 1), there)
+    settings, before = path.with_suffix(".json").read_text(), path.read_bytes()
+    path.with_suffix(".json").unlink()
+    with pytest.raises(ValueError, match=r"mappo-shared\.json, which lists them, is missing"):
+        collect.collect_run(tmp_path / "1", there)
+    assert path.read_bytes() == before and not path.with_suffix(".json").exists()
+    old = json.loads(settings)
+    del old["seeds"]["0"]  # such as those of an older commit
+    path.with_suffix(".json").write_text(json.dumps(old))
+    collect.collect_run(tmp_path / "1", there)
+    assert path.read_bytes() == before
+    path.unlink()
+    path.with_suffix(".json").unlink()
+    collect.collect_run(tmp_path / "1", there)
+    path.with_suffix(".json").unlink()  # the same seed alone: the end of a process between the two files
+    collect.collect_run(tmp_path / "1", there)
+    assert set(results.load(there)["seed"]) == {1}
 
 
 def test_two_campaigns_collect_into_the_same_table(tmp_path):

@@ -499,6 +499,22 @@ class TestDamage:
         assert not plan.is_whole(tmp_path / "checkpoint.pt")
 
 
+class TestDamagedResults:
+    @pytest.mark.parametrize("damaged", ["csv", "json"])
+    def test_the_other_settings_go_on(self, monkeypatch, capsys, damaged):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        table = Path(f"results/matrix-climbing/ia2c-shared.{damaged}")
+        table.write_text("<<<<<<< HEAD\n" + table.read_text())
+        words = ["--algorithms", "ia2c", "mappo", "--seeds", 2]
+        assert campaign(monkeypatch, *words) == 1
+        said = capsys.readouterr().out
+        assert said.count(f"ia2c-shared.{damaged} is damaged") == 2 and "2 of 4 runs are in" in said
+        assert seeds_of("mappo-shared") == {0: 20.0, 1: 20.0} and not folder_of(1).exists()
+        assert campaign(monkeypatch, *words, "--dry-run") == 1
+        said = capsys.readouterr().out
+        assert said.count(f"ia2c-shared.{damaged} is damaged") == 2 and "Nothing is left to run" in said
+
+
 class TestTwoCampaigns:
     def test_at_once_on_the_same_runs_and_results(self, tmp_path):
         words = ["--seeds", 6, "--jobs", 2, "--", "--pace", "0.01"]
