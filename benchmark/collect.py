@@ -18,6 +18,7 @@ from typing import Any
 import filelock
 import pandas as pd
 
+from ending import quiet_end
 from envs import runs
 from results import COLUMNS, RESULTS, read_evaluations, read_json, read_settings, read_table, table_path
 
@@ -117,6 +118,7 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
     return table_file
 
 
+@quiet_end(__file__)
 def main() -> None:
     """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -130,10 +132,12 @@ def main() -> None:
     wrong = False
     for directory in directories:
         try:
-            print(f"{directory}: in {collect_run(directory, args.results, args.replace)}")
+            table_file = collect_run(directory, args.results, args.replace)
         except (ValueError, OSError) as error:  # not complete, other flags, a damaged file, a full disk
             print(f"{directory}: left out, {error}", file=sys.stderr)
             wrong |= str(error) != NOT_COMPLETE
+        else:
+            print(f"{directory}: in {table_file}")
     if wrong:
         sys.exit(2)
 

@@ -4,6 +4,7 @@ An algorithm has the same colour and line everywhere. The colours are Paul Tol's
 by the colour-blind; the lines help where colours do not: value-based methods are dashed, MADDPG and COMA dotted.
 """
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -65,14 +66,23 @@ def save(figure: Figure, path: Path, source: str) -> None:
     what it was drawn from, in its metadata."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # the panels have their places now; saving would compute them again
-    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
-    figure.savefig(path.with_suffix(".png"), dpi=DOTS_PER_INCH)
+    svg, large, png = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    figure.savefig(svg, format="svg", metadata={"Date": None})
+    figure.savefig(large, format="png", dpi=DOTS_PER_INCH)
     plt.close(figure)
     noted = PngImagePlugin.PngInfo()
     noted.add_text("Source", source)
-    with Image.open(path.with_suffix(".png")) as image:
+    with Image.open(large) as image:
         small = image.convert("RGB").quantize(PNG_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    small.save(path.with_suffix(".png"), optimize=True, pnginfo=noted)
+    small.save(png, "png", optimize=True, pnginfo=noted)
+    for suffix, picture in ((".svg", svg), (".png", png)):
+        new = path.with_suffix(f"{suffix}.new")
+        try:
+            new.write_bytes(picture.getvalue())
+            new.replace(path.with_suffix(suffix))
+        except OSError:  # on a full disk the old picture stays, whole
+            new.unlink(missing_ok=True)
+            raise
 
 
 def panels(number: int, columns: int, x: str, y: str, share_y: bool = False) -> tuple[Figure, list[Axes]]:

@@ -32,6 +32,7 @@ import aggregate
 import claims
 import plots
 import tables
+from ending import quiet_end
 from envs import runs
 from results import (
     ALGORITHMS,
@@ -317,6 +318,7 @@ def between_markers(path: Path, text: str) -> str:
     return f"{before}{BEGIN}\n\n{text}\n\n{END}{after}"
 
 
+@quiet_end(__file__)
 def main() -> None:
     """Writes the report. Wrong input ends with one sentence and exit code 2."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -330,6 +332,8 @@ def main() -> None:
             print(search_report(args.grid))
             return
         report = Report(args.results)
+        if args.marl_eval:  # first: where this cannot be written, the others stay as they are
+            runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
         (args.output / "figures").mkdir(parents=True, exist_ok=True)
         (args.output / "latex").mkdir(exist_ok=True)
         texts = {args.output / "README.md": between_markers(args.output / "README.md", report.long())}
@@ -339,8 +343,6 @@ def main() -> None:
             for sharing, name in FILE.items():
                 if table := tables.latex(report.both, metric, sharing):
                     texts[args.output / "latex" / f"{metric.replace('_', '-')}-{name}.tex"] = table
-        if args.marl_eval:
-            texts[args.marl_eval] = json.dumps(marl_eval(report.evaluations))
         for name, draw in report.figures().items():
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():

@@ -36,6 +36,7 @@ PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
 KEY = ["task", "algorithm", "sharing", "setting"]
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
+SPEED_COLUMNS = ["task", "whose", "steps_per_second", "processor", "commit"]
 PARTS = {
     **{"algorithm": str, "changed": dict, "paper_timesteps": int},
     **{"env": str, "parameter_sharing": bool, "total_timesteps": int},  # these among the flags
@@ -218,12 +219,25 @@ def paper_returns() -> pd.DataFrame:
     return table.rename(columns={"ci95": "interval"}).drop(columns="parameter_sharing")
 
 
+def read_speeds(file: Path) -> pd.DataFrame:
+    """What `stepping.py --output` has written into a CSV so far. ValueError where the file holds something else."""
+    if not file.exists():
+        return pd.DataFrame(columns=SPEED_COLUMNS)
+    try:
+        table = pd.read_csv(file)
+        if list(table) != SPEED_COLUMNS:
+            raise ValueError(f"its columns are not {', '.join(SPEED_COLUMNS)}")
+        pd.to_numeric(table["steps_per_second"])
+    except ValueError as error:
+        raise ValueError(f"{file} is not a table of stepping.py: {str(error).strip()}") from error
+    return table
+
+
 def speeds(results: Path = RESULTS) -> pd.DataFrame:
     """Simulation speeds: task, family, whose ("the paper", "original package", "ours, num_envs=10"),
     steps_per_second. Ours and the original packages' were written by `stepping.py --output`; the paper's are those of
     the same tasks."""
-    file = results / "stepping.csv"
-    measured = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=["task", "whose", "steps_per_second"])
+    measured = read_speeds(results / "stepping.csv")
     paper = pd.read_csv(PAPER / "env_speed.csv")
     paper = paper.assign(whose="the paper", steps_per_second=10_000 / paper["seconds_per_10000_steps"])
     paper = paper[paper["task"].isin(measured["task"].map(paper_task))]

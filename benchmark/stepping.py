@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +25,9 @@ import numpy as np
 import pandas as pd
 
 import envs
+from ending import quiet_end
 from envs import runs
-from results import PAPER, paper_task
+from results import PAPER, SPEED_COLUMNS, paper_task, read_speeds
 
 ACTIONS = 1000  # joint actions drawn beforehand
 DEFAULT_TASKS = ["matrix-climbing", "lbf-8x8-2p-2f-c", "lbf-15x15-3p-5f", "rware-tiny-4p"]
@@ -144,15 +147,14 @@ def label(num_envs: int) -> str:
     return f"ours, num_envs={num_envs}"
 
 
-def keep(path: Path, task: str, speeds: dict[str, float]) -> None:
-    """Puts the speeds of a task into the CSV, in place of those that it has; notes the processor and the commit."""
-    origin = runs.provenance()
+def keep(path: Path, task: str, speeds: dict[str, float], origin: dict[str, Any]) -> None:
+    """Puts the speeds of a task into the CSV, in place of those that it has, with the processor and the commit."""
     rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": list(speeds.values())})
     rows["steps_per_second"] = rows["steps_per_second"].round().astype(int)
-    rows = rows.assign(processor=origin["machine"]["processor"], commit=origin["commit"])
-    if path.exists():
-        there = pd.read_csv(path)
-        rows = pd.concat([there[there["task"] != task], rows])
+    rows = rows.assign(processor=origin["machine"]["processor"], commit=origin["commit"])[SPEED_COLUMNS]
+    there = read_speeds(path)
+    others = there[there["task"] != task]
+    rows = pd.concat([others, rows]) if len(others) else rows
     runs.write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
 
@@ -179,8 +181,9 @@ def original_mpe(name: str) -> Callable[[], int] | None:
     return play
 
 
+@quiet_end(__file__)
 def main() -> None:
-    """Measure and print a table."""
+    """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS)
     parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100])
@@ -188,13 +191,20 @@ def main() -> None:
     parser.add_argument("--copy", action="store_true", help="measure with copy=True")
     parser.add_argument("--output", type=Path, help="a CSV, as benchmark/results/stepping.csv")
     args = parser.parse_args()
-    try:
-        for name in args.tasks:
-            envs.task(name)
-    except envs.InputError as error:
-        parser.error(str(error))
-    if min(args.num_envs) < 1 or args.seconds <= 0:
-        parser.error("--num-envs and --seconds must be positive")
+    if min(args.num_envs) < 1 or not 0 < args.seconds < math.inf:
+        parser.error("--num-envs and --seconds must be positive numbers")
+    if args.output:
+        try:
+            read_speeds(args.output)
+        except ValueError as error:
+            parser.error(f"--output: {error}")
+        if not args.output.parent.is_dir():
+            parser.error(f"--output: there is no folder {args.output.parent}")
+        with tempfile.TemporaryFile(dir=args.output.parent) as file:  # is there room?
+            file.write(bytes(2**16))
+    for name in args.tasks:
+        envs.make(name, max(args.num_envs)).close()
+    origin = runs.provenance()  # now: what is written into a checkout makes it dirty
 
     table = pd.read_csv(PAPER / "env_speed.csv", index_col="task")
     paper = 10_000 / table["seconds_per_10000_steps"]
@@ -210,7 +220,7 @@ def main() -> None:
         cells += [f"{speeds[label(number)]:>17,.0f}" for number in args.num_envs]
         print(f"{name:<24}" + "".join(cells), flush=True)
         if args.output:
-            keep(args.output, name, speeds)
+            keep(args.output, name, speeds, origin)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ import torch
 from numpy.typing import NDArray
 
 import envs
+from ending import quiet_end
 from envs import mpe, runs
 from training import load_script
 
@@ -144,12 +145,12 @@ def train(task: str, seed: int, directory: Path) -> None:
     """Trains one seed, or goes on with it, and keeps its candidates as <directory>-candidates/<timestep>.npz."""
     module: Any = load_script("maddpg")
     kept = directory.with_name(f"{directory.name}-candidates")
-    kept.mkdir(parents=True, exist_ok=True)
 
     class Run(module.Run):
         def save(self) -> None:
             super().save()
             if self.rows[-1]["timestep"] == self.timestep:
+                kept.mkdir(exist_ok=True)
                 np.savez(kept / f"{self.timestep}.npz", **network(self.parts["agents"], opponent_of(task))._asdict())
 
     module.Run = Run
@@ -206,6 +207,7 @@ def install(task: str, chosen: dict[str, Any], directory: Path, found: list[dict
     runs.write_whole(mpe.OPPONENTS / f"{task}.json", json.dumps(note, indent=1) + "\n")
 
 
+@quiet_end(__file__)
 def main() -> None:
     """Trains, measures, chooses."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -10,7 +10,9 @@ passes take turns, so that a noisy machine treats them alike. The parts of the l
 
 import argparse
 import importlib.util
+import math
 import statistics
+import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -23,7 +25,7 @@ from typing import Any
 import torch
 from torch import nn
 
-import envs
+from ending import quiet_end
 from envs import runs
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
@@ -46,10 +48,11 @@ class Plain(nn.Module):
 
 
 def load_script(name: str) -> ModuleType:
-    """algos/<name>.py as a module."""
+    """algos/<name>.py as a module, made anew."""
     spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its flags and their help are looked for
     spec.loader.exec_module(module)
     return module
 
@@ -184,6 +187,7 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     return Measurement(setting, rate, reference, update / whole, (acting - stepping) / whole, stepping / whole)
 
 
+@quiet_end(__file__)
 def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -193,11 +197,10 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     chosen = parser.parse_args()
+    if not 0 < chosen.seconds < math.inf:
+        parser.error("--seconds must be a positive number")
     for name in chosen.algos:
-        try:
-            found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
-        except envs.InputError as error:
-            parser.error(str(error))
+        found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
         print(
             f"{found.setting:32s} {found.rate:8,.0f} steps/s, reference passes {found.reference:8,.0f}, "
             f"share {found.rate / found.reference:.2f}; of the loop: update {found.update:.0%}, "

@@ -1,18 +1,21 @@
 """The programs of benchmark/: runs are collected without loss, reported as the paper does, and the timing is timed."""
 
 import csv
+import errno
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scripts import ROOT
+from scripts import NAMES, ROOT
 
 import aggregate
 import claims
@@ -20,7 +23,9 @@ import collect
 import plots
 import report
 import results
+import stepping
 import tables
+import train_opponents
 import training
 
 BENCHMARK = ROOT / "benchmark"
@@ -323,6 +328,19 @@ def test_two_campaigns_collect_into_the_same_table(tmp_path):
     assert [process.wait() for process in both] == [0, 0]
     assert [int(row["seed"]) for row in table(tmp_path / "results")] == [seed for seed in range(16) for _ in "ab"]
     assert len(json.loads((tmp_path / "results/matrix-climbing/mappo-shared.json").read_text())["seeds"]) == 16
+
+
+def test_nobody_listens(monkeypatch, capsys, tmp_path):
+    """As `| true`: a run that was collected is not called left out."""
+
+    def closed(_):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    make_run(tmp_path / "run")
+    monkeypatch.setattr(sys, "stdout", SimpleNamespace(write=closed))
+    with pytest.raises(SystemExit, match="2"):
+        run_here(monkeypatch, collect, tmp_path / "run", "--results", tmp_path / "results")
+    assert capsys.readouterr().err == "collect: [Errno 32] Broken pipe\n" and len(table(tmp_path / "results")) == 2
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs a limit on the size of files")
@@ -707,6 +725,27 @@ def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
     assert done.returncode == 2 and "iql-shared.json is damaged" in done.stderr and "Traceback" not in done.stderr
 
 
+def test_a_marl_eval_file_that_cannot_be_written_leaves_all_as_it_was(monkeypatch, capsys, tmp_path):
+    make_results(tmp_path / "results", ["matrix-climbing"])
+    with pytest.raises(SystemExit, match="2"):
+        write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "nowhere" / "m.json"))
+    assert "m.json" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_full_disk_leaves_the_old_figures(monkeypatch, tmp_path):
+    for suffix in ("svg", "png"):
+        (tmp_path / f"a.{suffix}").write_text("old")
+
+    def no_room(path, data):
+        path.open("wb").write(data[:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", no_room)
+    with pytest.raises(OSError, match="No space left"):
+        plots.save(plots.panels(1, 1, "x", "y")[0], tmp_path / "a", "source")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.svg": "old", "a.png": "old"}
+
+
 # ---------------------------------------------------------------------------------------------------- other programs
 
 
@@ -715,7 +754,7 @@ def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
     [
         ("collect.py nowhere", "no runs in nowhere"),
         ("stepping.py --tasks nothing", "unknown task 'nothing'"),
-        ("stepping.py --num-envs 0", "must be positive"),
+        ("stepping.py --tasks own:nope", "there is no module nope"),
     ],
 )
 def test_wrong_input_is_named(command, said):
@@ -735,19 +774,92 @@ def test_stepping_keeps_its_figures(tmp_path):
     assert set(speeds["whose"]) == {"the paper", "kept", "ours, num_envs=2"}
 
 
-def run_training(monkeypatch, *flags):
-    """benchmark/training.py in this process: a process of its own would spend seconds on importing torch."""
-    monkeypatch.setattr(sys, "argv", ["training.py", *flags])
-    training.main()
+def run_here(monkeypatch, program, *flags):
+    """A program of benchmark/ in this process: one of its own would spend seconds on imports."""
+    for name in NAMES:
+        monkeypatch.setitem(sys.modules, name, None)  # so that afterwards all is as it was
+    monkeypatch.setattr(sys, "argv", [f"{program.__name__}.py", *map(str, flags)])
+    program.main()
 
 
 @pytest.mark.parametrize(
     "flags, said",
-    [(["--env", "nothing"], "unknown task 'nothing'"), (["--algos", "nothing"], "invalid choice: 'nothing'")],
+    [
+        (["--num-envs", "0"], "must be positive"),
+        (["--num-envs", "10000000000"], "does not fit into this machine's memory"),
+        (["--seconds", "nan"], "must be positive"),
+        (["--tasks", "matrix-climbing", "pettingzoo:nope"], "there is no module nope"),
+        (["--output", "nowhere/speeds.csv"], "there is no folder nowhere"),
+        (["--output", "."], "Is a directory"),
+        (["--output", ROOT / "README.md"], "README.md is not a table of stepping.py"),
+        (["--output", results.PAPER / "returns.csv"], "returns.csv is not a table of stepping.py"),
+        (["--output", results.PAPER / "env_speed.csv"], "env_speed.csv is not a table of stepping.py"),
+    ],
+)
+def test_wrong_input_of_stepping_is_named_before_it_begins(monkeypatch, capsys, tmp_path, flags, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stepping, "rate", lambda *_: pytest.fail("it was timed"))
+    with pytest.raises(SystemExit, match="2"):
+        run_here(monkeypatch, stepping, *flags)
+    assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_stepping_does_not_make_its_own_commit_dirty(monkeypatch, tmp_path):
+    """The commit is asked for once, before the first figures are written."""
+    commits = iter(["clean", "dirty", "dirty"])
+    origin = {"machine": {"processor": "x"}}
+    monkeypatch.setattr(stepping.runs, "provenance", lambda: origin | {"commit": next(commits)})
+    monkeypatch.setattr(stepping, "rate", lambda *_: 1.0)
+    tasks = ["matrix-climbing", "matrix-penalty-0"]
+    run_here(monkeypatch, stepping, "--tasks", *tasks, "--num-envs", 1, "--output", tmp_path / "speeds.csv")
+    table = results.read_speeds(tmp_path / "speeds.csv")
+    assert list(table["task"]) == tasks and set(table["commit"]) == {"clean"}
+
+
+@pytest.mark.parametrize(
+    "flags, said",
+    [
+        (["--seeds", "-1"], "--seed -1: the value must lie between"),
+        (["--seeds", str(2**63)], "the value must lie between"),
+        (["--runs", "file"], "Not a directory"),
+    ],
+)
+def test_wrong_input_of_training_opponents_is_named(monkeypatch, capsys, tmp_path, flags, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit, match="2"):
+        run_here(monkeypatch, train_opponents, "--tasks", "mpe-tag", *flags)
+    assert said in capsys.readouterr().err and [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    "program, where",
+    [(collect, "read_json"), (report, "Report"), (stepping, "rate"), (training, "measure"), (train_opponents, "train")],
+)
+def test_ctrl_c_ends_all_quietly(monkeypatch, capsys, tmp_path, program, where):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    make_run(tmp_path / "run")
+    monkeypatch.setattr(program, where, interrupt)
+    with pytest.raises(SystemExit, match="130"):
+        run_here(monkeypatch, program, *([tmp_path] if program is collect else []))
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "flags, said",
+    [
+        (["--env", "nothing"], "unknown task 'nothing'"),
+        (["--algos", "nothing"], "invalid choice: 'nothing'"),
+        (["--seconds", "nan"], "--seconds must be a positive number"),
+        (["--seconds", "0"], "--seconds must be a positive number"),
+        (["--", "--bogus"], "Unrecognized options: --bogus"),
+    ],
 )
 def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
     with pytest.raises(SystemExit, match="2"):
-        run_training(monkeypatch, *flags)
+        run_here(monkeypatch, training, *flags)
     assert said in capsys.readouterr().err
 
 
@@ -755,7 +867,7 @@ def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
     "algorithms, flags", [(["mappo", "coma", "qmix", "maddpg"], []), (["iql"], ["--", "--no-parameter-sharing"])]
 )
 def test_training_speed(monkeypatch, capsys, algorithms, flags):
-    run_training(monkeypatch, "--env", "matrix-climbing", "--seconds", "0.1", "--algos", *algorithms, *flags)
+    run_here(monkeypatch, training, "--env", "matrix-climbing", "--seconds", "0.1", "--algos", *algorithms, *flags)
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == algorithms
     assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)

@@ -484,6 +484,7 @@ def test_a_short_training_keeps_its_candidates(monkeypatch: pytest.MonkeyPatch, 
     """At each evaluation; a complete run stays as it is."""
     monkeypatch.setitem(opponents.TRAININGS, "mpe-adversary", opponents.Training(100, 3))
     monkeypatch.setattr(opponents, "EPISODES", 20)
+    monkeypatch.setitem(sys.modules, "maddpg", None)  # so that afterwards all is as it was
     directory = tmp_path / "mpe-adversary" / "seed2"
     opponents.train("mpe-adversary", 2, directory)
     flags = json.loads((directory / "config.json").read_text())["flags"]
