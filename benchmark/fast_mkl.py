@@ -29,7 +29,11 @@ def build() -> Path:
         raise NotPossible("the library is for Linux on 64-bit x86 processors")
     if "GenuineIntel" in Path("/proc/cpuinfo").read_text():
         raise NotPossible("the processor is Intel's and has the fast kernels already")
-    library = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "marl-baselines" / "fast-mkl.so"
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    except RuntimeError:
+        raise NotPossible("there is no home directory to keep the library in") from None
+    library = cache / "marl-baselines" / "fast-mkl.so"
     if library.exists():
         return library
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)

@@ -155,6 +155,8 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
         raise envs.InputError(f"{algorithm} on {task} does not take the flags {' '.join(flags)}") from None
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
+    if args.eval_points < 2:
+        raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
     paper = module.paper_defaults(task, sharing)
     for name in OF_THIS_PROGRAM:
         if getattr(args, name) != getattr(paper, name):
@@ -174,7 +176,7 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
 def script(algorithm: str) -> Any:
     """algos/<algorithm>.py as a module, loaded once."""
     if algorithm not in SCRIPTS:
-        SCRIPTS[algorithm] = sys.modules[algorithm] = training.load_script(algorithm)  # tyro looks for it there
+        SCRIPTS[algorithm] = training.load_script(algorithm)
     return SCRIPTS[algorithm]
 
 

@@ -18,6 +18,7 @@ import functools
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,6 +36,7 @@ import fast_mkl
 import plan
 import training
 from collect import collect_run
+from ending import quiet_end
 from plan import Damaged, Run
 from results import RESULTS, has_seed
 from view import LineView, TableView, clock, make_view, read_progress
@@ -44,6 +46,7 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 STOPPED = {code for number in SIGNALS for code in (-number, 128 + number)}  # exit codes of a run that was asked to stop
 DAMAGE = re.compile("is damaged|is gone|can be read")  # what a script says of a directory that it cannot go on with
 TIMING_SECONDS = 1.0
+LEAST_FREE = 2**20  # bytes; a run on a fuller disk cannot even say why it fails
 MOST_LOSSES = 3  # a run whose node is lost more often has failed
 GRID_SEEDS, SEEDS = 3, 5  # as in the paper
 
@@ -203,7 +206,8 @@ class Campaign:
         """A run cannot be completed, or not be collected. where: what is kept of it."""
         self.failed[run.directory] = reason if where is None else f"{reason} ({where})"
         self.view.say(f"{run}: failed, {reason}")
-        if os.strerror(errno.ENOSPC) in reason:  # every other run would fail, too
+        full = shutil.disk_usage(self.folder).free < LEAST_FREE
+        if full or os.strerror(errno.ENOSPC) in reason:  # every other run would fail, too
             self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def finish(self, run: Run, code: int, lost: bool) -> None:
@@ -400,6 +404,9 @@ def run_campaign(args: argparse.Namespace) -> int:
         import cluster
 
         start, places = cluster.connect(args.ray, args.jobs, args.fast_mkl)
+    for folder in (args.runs, results):
+        folder.mkdir(parents=True, exist_ok=True)
+    (results / ".lock").touch()  # collecting begins with it; what is not possible is to be known before hours of runs
     campaign = Campaign(runs, args.runs.resolve(), results, start, places, make_view())
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:  # nohup has SIGHUP ignored
@@ -408,15 +415,10 @@ def run_campaign(args: argparse.Namespace) -> int:
     return campaign.report()
 
 
+@quiet_end(__file__)
 def main() -> None:
     """See the module's docstring."""
-    try:
-        sys.exit(run_campaign(parse()))
-    except (envs.InputError, OSError) as error:
-        print(f"run.py: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:  # while it plans, or times
-        sys.exit(128 + signal.SIGINT)
+    sys.exit(run_campaign(parse()))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import termios
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -51,6 +52,7 @@ class Args:
     env: str = ""
     seed: int = 0
     total_timesteps: int = 40
+    eval_points: int = 5
     learning_rate: float = 0.5
     pace: float = 0.002  # seconds for a step
     trouble: str = ""  # what goes wrong
@@ -257,6 +259,7 @@ class TestPlan:
             (["--tasks", "matrix-climbin"], "unknown task 'matrix-climbin'"),
             (["--", "--no-such-flag", "1"], "ia2c on matrix-climbing does not take"),
             (["--", "--seed", "7"], "--seed is chosen by this program"),
+            (["--", "--eval-points", "1"], "--eval-points must be 2 or more"),
             (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
             (["--jobs", "0"], "must be positive"),
         ],
@@ -362,6 +365,24 @@ class TestRunning:
         assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", "disk") == 1
         said = capsys.readouterr().out
         assert said.startswith("The disk is full") and said.count("failed:") == 1
+
+    def test_a_run_that_could_not_say_that_the_disk_is_full(self, monkeypatch, capsys):
+        monkeypatch.setattr(run.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
+        assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", "fails0") == 1
+        said = capsys.readouterr().out
+        assert said.startswith("The disk is full") and said.count("failed:") == 1
+
+    def test_results_that_cannot_be_written_are_named_before_anything_runs(self, monkeypatch, capsys):
+        Path("file").touch()
+        for words in (["--results", "file"], ["--runs", "file"], ["--results", "file/results"]):
+            assert campaign(monkeypatch, *words) == 2
+            assert capsys.readouterr().err.startswith("run: [Errno ")
+        assert not list(Path().rglob("log-*")) and not list(Path().rglob("seed*"))
+
+    def test_without_a_place_for_messages(self, monkeypatch):
+        """As `2>&-` leaves it."""
+        monkeypatch.setattr(sys, "stderr", None)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
 
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file that is always full")
     def test_results_on_a_full_disk_stay_whole(self, monkeypatch, capsys):
@@ -640,6 +661,16 @@ class TestFastMKL:
         assert campaign(monkeypatch, "--seeds", 1, "--fast-mkl") == 0
         config = json.loads((folder_of(0) / "config.json").read_text())
         assert config["preloaded"] == str(library)
+
+    def test_without_a_home(self, monkeypatch):
+        def no_home(path):
+            raise RuntimeError("Could not determine home directory.")
+
+        monkeypatch.setattr(fast_mkl.platform, "machine", lambda: "x86_64")
+        monkeypatch.setattr(fast_mkl.Path, "read_text", lambda self: "vendor_id : AuthenticAMD")
+        monkeypatch.setattr(fast_mkl.Path, "expanduser", no_home)
+        with pytest.raises(fast_mkl.NotPossible, match="no home directory"):
+            fast_mkl.build()
 
     @pytest.mark.parametrize("why", ["compiler", "Intel"])
     def test_without_it_the_runs_go_on(self, monkeypatch, capsys, tmp_path, why):
