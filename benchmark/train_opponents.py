@@ -216,6 +216,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs", "opponents"), help="where the runs are kept")
     parser.add_argument("--replace", action="store_true", help="replace the opponents that the package has")
     args = parser.parse_args()
+    for seed in args.seeds:
+        runs.check_flags(argparse.Namespace(seed=seed))  # all of them before the first one trains for hours
 
     for seed in args.seeds:
         for task in args.tasks:

@@ -819,7 +819,7 @@ def test_stepping_does_not_make_its_own_commit_dirty(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     "flags, said",
     [
-        (["--seeds", "-1"], "--seed -1: the value must lie between"),
+        (["--seeds", "0", "-1"], "--seed -1: the value must lie between"),
         (["--seeds", str(2**63)], "the value must lie between"),
         (["--runs", "file"], "Not a directory"),
     ],
