@@ -18,8 +18,8 @@ from typing import Any
 import filelock
 import pandas as pd
 
-from ending import quiet_end
 from envs import runs
+from envs.runs import one_sentence
 from results import COLUMNS, RESULTS, read_evaluations, read_json, read_settings, read_table, table_path
 
 PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
@@ -118,7 +118,7 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
     return table_file
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

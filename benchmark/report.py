@@ -32,8 +32,8 @@ import aggregate
 import claims
 import plots
 import tables
-from ending import quiet_end
 from envs import runs
+from envs.runs import one_sentence
 from results import (
     ALGORITHMS,
     FAMILIES,
@@ -318,7 +318,7 @@ def between_markers(path: Path, text: str) -> str:
     return f"{before}{BEGIN}\n\n{text}\n\n{END}{after}"
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """Writes the report. Wrong input ends with one sentence and exit code 2."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

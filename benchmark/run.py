@@ -36,7 +36,7 @@ import fast_mkl
 import plan
 import training
 from collect import collect_run
-from ending import quiet_end
+from envs.runs import one_sentence
 from plan import Damaged, Run
 from results import RESULTS, has_seed
 from view import LineView, TableView, clock, make_view, read_progress
@@ -415,7 +415,7 @@ def run_campaign(args: argparse.Namespace) -> int:
     return campaign.report()
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """See the module's docstring."""
     sys.exit(run_campaign(parse()))

@@ -25,8 +25,8 @@ import numpy as np
 import pandas as pd
 
 import envs
-from ending import quiet_end
 from envs import runs
+from envs.runs import one_sentence
 from results import PAPER, SPEED_COLUMNS, paper_task, read_speeds
 
 ACTIONS = 1000  # joint actions drawn beforehand
@@ -181,7 +181,7 @@ def original_mpe(name: str) -> Callable[[], int] | None:
     return play
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -30,8 +30,8 @@ import torch
 from numpy.typing import NDArray
 
 import envs
-from ending import quiet_end
 from envs import mpe, runs
+from envs.runs import one_sentence
 from training import load_script
 
 EPISODES = 1000
@@ -207,7 +207,7 @@ def install(task: str, chosen: dict[str, Any], directory: Path, found: list[dict
     runs.write_whole(mpe.OPPONENTS / f"{task}.json", json.dumps(note, indent=1) + "\n")
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """Trains, measures, chooses."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -25,8 +25,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from ending import quiet_end
 from envs import runs
+from envs.runs import one_sentence
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
 Timer = Callable[[], float]
@@ -187,7 +187,7 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     return Measurement(setting, rate, reference, update / whole, (acting - stepping) / whole, stepping / whole)
 
 
-@quiet_end(__file__)
+@one_sentence(__file__)
 def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
