@@ -394,6 +394,17 @@ def test_whose_targets_are_looked_through_first(name: str, kept: bool) -> None:
         assert unit[enemy].target == target
 
 
+@pytest.mark.parametrize(("suffix", "chosen"), [("", 0), ("-sc2", 1)])
+def test_a_spine_crawler_looks_around(suffix: str, chosen: int) -> None:
+    """A stalker that steps back is left in peace as soon as the other one is nearer, but only with -sc2."""
+    env = make(f"2s_vs_1sc{suffix}")
+    x, y = env.game.unit[0, 2].x, env.game.unit[0, 2].y
+    unit = put(env, {0: (x, y - 6), 1: (x, y - 5.9), 2: (x, y)})
+    unit[2].target = 0
+    smaclite.tick(env.game, env.config, 0)
+    assert unit[2].target == chosen
+
+
 def test_a_shield_regenerates_after_ten_seconds() -> None:
     env = make("3s5z")
     me = env.game.unit[0, 0]
