@@ -165,12 +165,15 @@ def train(task: str, seed: int, directory: Path) -> None:
 def candidates(task: str, directory: Path) -> list[dict[str, Any]]:
     """What the candidates of a run are: seed, timestep, returns against the scripted teams, file."""
     seed = json.loads((directory / "config.json").read_text())["flags"]["seed"]
+    kept = directory.with_name(f"{directory.name}-candidates")
     found = []
-    for archive in sorted(directory.with_name(f"{directory.name}-candidates").glob("*.npz"), key=lambda p: int(p.stem)):
+    for archive in sorted(kept.glob("*.npz"), key=lambda p: int(p.stem)):
         settings = {**envs.task(f"{task}-selfplay").settings, "selfplay": False}
         env = mpe.Env(task, EPISODES, 0, False, **settings, opponent=archive)
         figures = {name: round(mean_return(env, probe.act), 3) for name, probe in PROBES[task].items()}
         found.append({"seed": seed, "timestep": int(archive.stem), "returns": figures, "archive": archive})
+    if not found:
+        raise envs.InputError(f"{kept} is empty, though {directory} is complete; move that run away to train it anew.")
     return found
 
 

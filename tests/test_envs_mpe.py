@@ -10,6 +10,7 @@ import copy
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -495,6 +496,9 @@ def test_a_short_training_keeps_its_candidates(monkeypatch: pytest.MonkeyPatch, 
     when = (directory / "checkpoint.pt").stat().st_mtime_ns
     opponents.train("mpe-adversary", 2, directory)
     assert (directory / "checkpoint.pt").stat().st_mtime_ns == when
+    shutil.rmtree(tmp_path / "mpe-adversary" / "seed2-candidates")
+    with pytest.raises(envs.InputError, match="is complete; move that run away"):
+        opponents.candidates("mpe-adversary", directory)
 
 
 @pytest.fixture
