@@ -70,6 +70,9 @@ def make(
     Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
     or seed out of range.
     """
+    for option, value in (("max_episode_steps", max_episode_steps), ("env_workers", env_workers)):
+        if not isinstance(value, int) or value < 0:
+            raise InputError(f"{option} is {value}; it must be a whole number from 0 on.")
     described = task(name)
     options: dict[str, Any] = {}
     if env_kwargs:

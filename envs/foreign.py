@@ -80,13 +80,15 @@ class Game:
         """Raises InputError for what cannot be built, and for what these algorithms cannot play."""
         self.name, self.flatten_images = source.name, source.flatten_images
         self.env = self.build(source, {})
-        self.can_draw = source.pictures and "rgb_array" in self.env.metadata.get("render_modes", ())
+        self.can_draw = source.pictures and "rgb_array" in getattr(self.env, "metadata", {}).get("render_modes", ())
         if self.can_draw and "render_mode" not in source.kwargs:
             # The first one is not closed, since this can end pygame for all others in the process.
             self.env = self.build(source, {"render_mode": "rgb_array"})
 
         observation_spaces, action_spaces = self.spaces()
         self.n_agents = len(action_spaces)
+        if not self.n_agents:
+            raise InputError(f"{self.name} has no agents.")
         for space in action_spaces:
             if not isinstance(space, spaces.Discrete):
                 raise InputError(f"{self.name} has actions of the kind {space}; these algorithms need discrete ones.")
@@ -97,16 +99,20 @@ class Game:
         if not all(isinstance(space, spaces.Box) for space in flat):
             raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
         self.obs_size = max(int(space.shape[0]) for space in flat)
-        self.low = min(0.0, *(float(space.low.min(initial=0)) for space in flat))  # 0 is what the padding has
-        self.high = max(0.0, *(float(space.high.max(initial=0)) for space in flat))
+        largest = float(np.finfo(np.float32).max)
+        self.low = min(0.0, *(max(float(space.low.min(initial=0)), -largest) for space in flat))  # 0: the padding
+        self.high = max(0.0, *(min(float(space.high.max(initial=0)), largest) for space in flat))
+        teams = self.teams()
+        if teams is not None and (len(teams) != self.n_agents or 0 not in teams):
+            raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, from 0 on.")
 
         self.own_clock = self.find_clock()
         self.clock = source.max_episode_steps or self.own_clock
         if not self.clock:
             raise InputError(f"{self.name} says nowhere how long an episode lasts; --max-episode-steps does.")
-        if self.own_clock:
-            self.clock = min(self.clock, self.own_clock)
+        self.clock_is_guessed = not source.max_episode_steps
         self.steps = 0
+        self.state_size: int | None = None
         state = self.reset(0).state
         self.state_size = None if state is None else len(state)
 
@@ -123,7 +129,7 @@ class Game:
         raise NotImplementedError
 
     def teams(self) -> tuple[int, ...] | None:
-        """The number of each agent's team, or None where the environment does not say."""
+        """The number of each agent's team, or None where the environment does not say. InputError for anything else."""
         raise NotImplementedError
 
     def reset(self, seed: int) -> Outcome:
@@ -137,8 +143,8 @@ class Game:
     def frame(self) -> NDArray[np.uint8]:
         """The environment's own picture of itself."""
         picture = self.env.render()
-        if not isinstance(picture, np.ndarray) or picture.ndim != 3:
-            raise InputError(f"{self.name} has no picture.")
+        if not isinstance(picture, np.ndarray) or picture.ndim != 3 or not np.issubdtype(picture.dtype, np.integer):
+            raise InputError(f"{self.name} has no picture of integers from 0 to 255.")
         return picture[..., :3].astype(np.uint8)
 
     def close(self) -> None:
@@ -147,8 +153,9 @@ class Game:
 
     def space_seen(self, space: Any) -> Any:
         """An agent's observation space without its action mask."""
-        if isinstance(space, spaces.Dict) and "observation" in space.spaces:
-            space = space["observation"]
+        if isinstance(space, spaces.Dict):
+            parts = {name: part for name, part in space.spaces.items() if name != "action_mask"}
+            space = parts["observation"] if list(parts) == ["observation"] else spaces.Dict(parts)
         images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and len(part.shape) > 1]
         if images and not self.flatten_images:
             what = f"images of the shape {images[0]}"
@@ -171,27 +178,56 @@ class Game:
             if observation is None:
                 action_mask[i, 0] = True
                 continue
-            mask, seen_alone = masks[i], observation
-            if isinstance(observation, Mapping) and "observation" in observation:
-                mask, seen_alone = observation.get("action_mask", mask), observation["observation"]
-            values: Any = spaces.flatten(self.spaces_seen[i], seen_alone)
+            mask = masks[i]
+            if isinstance(observation, Mapping):
+                mask = observation.get("action_mask", mask)
+            values = self.vector(observation, self.spaces_seen[i])
             observations[i, : len(values)] = values
+            if mask is not None and np.shape(mask) != (self.choices[i],):
+                raise InputError(f"{self.name}: agent {i} has {self.choices[i]} actions and the action mask {mask}.")
             action_mask[i, : self.choices[i]] = True if mask is None else np.asarray(mask, np.bool_)
             if not action_mask[i].any():  # the agent has to wait
                 action_mask[i, 0] = True
         own = np.array(agent_rewards, np.float32)
         return Outcome(observations, action_mask, self.state(), reward, own, terminated, truncated)
 
+    def vector(self, observation: Any, space: Any) -> NDArray[np.float32]:
+        """What an agent sees, as [value]. Raises InputError where it does not fit the space that was declared."""
+        within = isinstance(space, spaces.Dict) and "observation" in space.spaces
+        if isinstance(observation, Mapping) and "observation" in observation and not within:
+            observation = observation["observation"]
+        try:
+            if isinstance(space, spaces.Box):  # of integers, too, nothing is cut to the type of the space
+                values = np.asarray(observation, np.float32).ravel()
+            elif isinstance(space, spaces.Discrete) and observation not in space:
+                raise ValueError("it is not one of its values")
+            else:
+                values = np.asarray(spaces.flatten(space, observation), np.float32)
+            if len(values) != spaces.flatdim(space):
+                raise ValueError(f"it has {len(values)} values")
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            raise InputError(f"{self.name}: an observation does not fit its space {space}: {error}.") from error
+        return values
+
     def state(self) -> NDArray[np.float32] | None:
         """What the environment calls its state, as a vector; None if it has none."""
-        function = getattr(self.env, "state", None) or getattr(self.env.unwrapped, "state", None)
-        if not callable(function):
+        found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
+        function = next((each for each in found if callable(each)), None)
+        try:
+            said = None if function is None else function()
+        except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
+            said = None
+        if said is None:
             return None
         try:
-            state = np.asarray(function(), np.float32)
-        except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
+            state = np.asarray(said, np.float32)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{self.name}: its state is not an array of numbers: {error}.") from error
+        if state.ndim > 1 and not self.flatten_images:
             return None
-        return state.ravel() if state.ndim < 2 or self.flatten_images else None
+        if self.state_size not in (None, state.size):
+            raise InputError(f"{self.name}: its state has {state.size} values now, and had {self.state_size}.")
+        return state.ravel()
 
     def sum_over_team(self, agent_rewards: list[float]) -> float:
         """The reward of team 0."""
@@ -200,23 +236,29 @@ class Game:
 
     def check_clock(self) -> None:
         """Raises InputError where an environment goes on longer than it seemed to say."""
-        if self.clock == self.own_clock:
+        if self.clock_is_guessed:
             raise InputError(
                 f"{self.name} goes on after {self.clock} steps, which seemed to be its limit; "
                 "--max-episode-steps says how long an episode lasts."
             )
 
 
+def look_here() -> None:
+    """Lets imports find modules in the current folder; for a script, Python looks only into the script's own."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+
+
 def import_module(name: str, target: str) -> Any:
     """A module that is installed or lies in the current folder. Raises InputError, about the task, if there is none."""
-    sys.path.append(os.getcwd())  # for a script, Python looks only into the script's own folder
+    look_here()
+    if target.startswith("."):
+        raise InputError(f"{name}: {target} is not the name of a module.")
     try:
         return importlib.import_module(target)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{target}.".startswith(f"{error.name}."):
             raise InputError(f"{name} needs the module {error.name}, which is not installed.") from error
-    finally:
-        sys.path.pop()
     parent, _, last = target.rpartition(".")
     retired = getattr(sys.modules.get(parent), last, None)  # what PettingZoo has in the place of its old versions
     if retired is None:
@@ -248,6 +290,8 @@ class ParallelGame(Game):
             env = make(**{**source.kwargs, **more})
         except (ImportError, TypeError) as error:  # a retired version or a missing package; a wrong keyword argument
             raise InputError(f"{source.name}: {error}.") from error
+        if not hasattr(env, "metadata"):
+            env.metadata = {}  # PettingZoo's own functions look into it
         self.agents = list(env.possible_agents)
         self.playing = set(self.agents)
         return env
@@ -271,13 +315,16 @@ class ParallelGame(Game):
     def teams(self) -> tuple[int, ...] | None:
         """See `Game`."""
         teams = getattr(self.env.unwrapped, "teams", None)
-        return None if teams is None else tuple(int(teams[agent]) for agent in self.agents)
+        try:
+            return None if teams is None else tuple(int(teams[agent]) for agent in self.agents)
+        except (TypeError, ValueError, KeyError, IndexError):
+            raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, by name.") from None
 
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
         observations, infos = self.env.reset(seed=seed)
         self.steps = 0
-        self.playing = set(self.env.agents)
+        self.playing = self.known(self.env.agents)
         seen = [observations.get(agent) if agent in self.playing else None for agent in self.agents]
         return self.outcome(seen, self.masks(infos), [0.0] * self.n_agents, 0.0, False, False)
 
@@ -290,9 +337,10 @@ class ParallelGame(Game):
         }
         observations, rewards, terminations, truncations, infos = self.env.step(chosen)
         self.steps += 1
-        timed_out = any(truncations[agent] and not terminations[agent] for agent in self.playing)
+        left = {agent for flags in (terminations, truncations) for agent in flags if flags[agent]}
+        timed_out = any(truncations.get(agent) and not terminations.get(agent) for agent in self.playing)
         acted = self.playing
-        self.playing = {agent for agent in self.env.agents if not (terminations[agent] or truncations[agent])}
+        self.playing = self.known(self.env.agents) - left
         ended = not self.playing
         if not ended and self.steps == self.clock:
             self.check_clock()
@@ -302,6 +350,12 @@ class ParallelGame(Game):
         own = [float(rewards.get(agent, 0)) for agent in self.agents]
         reward = self.sum_over_team(own)
         return self.outcome(seen, self.masks(infos), own, reward, ended and not timed_out, ended and timed_out)
+
+    def known(self, agents: list[Any]) -> set[Any]:
+        """The agents as a set. Raises InputError for one that `possible_agents` did not name."""
+        if unknown := set(agents) - set(self.agents):
+            raise InputError(f"{self.name}: the agents {sorted(map(str, unknown))} are not among its possible_agents.")
+        return set(agents)
 
     def masks(self, infos: Mapping[str, Any]) -> list[Any]:
         """The agents' action masks in the infos, or None."""
@@ -313,6 +367,7 @@ class TupleGame(Game):
 
     def build(self, source: Source, more: Mapping[str, Any]) -> Any:
         """See `Game`."""
+        look_here()  # for the module in <module>:<id>
         try:
             return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
         except (gymnasium.error.Error, ImportError, TypeError) as error:
@@ -337,20 +392,25 @@ class TupleGame(Game):
     def teams(self) -> tuple[int, ...] | None:
         """See `Game`."""
         teams = getattr(self.env.unwrapped, "teams", None)
-        return None if teams is None else tuple(int(team) for team in teams)
+        try:
+            return None if teams is None else tuple(int(team) for team in teams)
+        except (TypeError, ValueError):
+            raise InputError(f"{self.name}: its teams {teams} are not a number for each agent.") from None
 
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
         observations, info = self.env.reset(seed=seed)
         self.steps = 0
-        seen = [observations] if self.one_agent else list(observations)
-        return self.outcome(seen, self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
+        return self.outcome(self.by_agent(observations), self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
 
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
         chosen = tuple(first + action for first, action in zip(self.first_actions, actions))
         observations, rewards, ends, time_outs, info = self.env.step(chosen[0] if self.one_agent else chosen)
         self.steps += 1
+        for flags in (ends, time_outs):
+            if isinstance(flags, Mapping) or np.shape(flags) not in ((), (self.n_agents,)):
+                raise InputError(f"{self.name}: {flags} is neither one flag nor one for each agent.")
         terminated, truncated = bool(np.all(ends)), bool(np.any(time_outs))
         if terminated and self.counts_itself and self.steps == self.own_clock:
             truncated = True
@@ -359,20 +419,30 @@ class TupleGame(Game):
             truncated = True
         elif terminated:
             truncated = False
-        seen = [observations] if self.one_agent else list(observations)
         if np.ndim(rewards) == 0:
             own, reward = [float(rewards)] * self.n_agents, float(rewards)
         else:
-            own = [float(value) for value in rewards]
+            own = [float(value) for value in self.by_agent(rewards)]
             reward = self.sum_over_team(own)
-        return self.outcome(seen, self.masks(info), own, reward, terminated and not truncated, truncated)
+        return self.outcome(
+            self.by_agent(observations), self.masks(info), own, reward, terminated and not truncated, truncated
+        )
 
     def masks(self, info: Mapping[str, Any]) -> list[Any]:
         """The agents' action masks in the info, or None for each."""
         masks = info.get("action_mask")
         if masks is None:
             return [None] * self.n_agents
-        return [masks] if self.one_agent else list(masks)
+        return self.by_agent(masks)
+
+    def by_agent(self, parts: Any) -> list[Any]:
+        """What an environment gave for each agent. Raises InputError where these are not as many."""
+        if self.one_agent:
+            return [parts]
+        listed = isinstance(parts, list | tuple) or (isinstance(parts, np.ndarray) and parts.ndim > 0)
+        if not listed or len(parts) != self.n_agents:
+            raise InputError(f"{self.name} has {self.n_agents} agents, and {parts} is not one thing for each.")
+        return list(parts)
 
 
 def clock_of(env: Any) -> int:

@@ -37,6 +37,7 @@ finished:
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -112,6 +113,8 @@ class VectorEnv(GymnasiumVectorEnv):
         """
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
+        if choices is not None and (len(choices) != n_agents or not 1 <= min(choices) <= max(choices) <= n_actions):
+            raise ValueError(f"choices is {choices}; it must have a number from 1 to {n_actions} for each agent.")
         self.name, self.num_envs, self.copy = name, num_envs, copy
         self.n_agents, self.n_actions, self.obs_size = n_agents, n_actions, obs_size
         self.state_size = n_agents * obs_size if state_size is None else state_size
@@ -210,9 +213,10 @@ class VectorEnv(GymnasiumVectorEnv):
         self._episodes[:] = episode
 
     def _set_seed(self, seed: int) -> None:
+        seed = operator.index(seed)  # TypeError for what is no integer
         if not 0 <= seed < 2**64:
             raise ValueError(f"seed is {seed}; it must lie between 0 and 2^64 - 1.")
-        self.seed = int(seed)
+        self.seed = seed
         self._seed = np.uint64(seed)
 
     def reset(
@@ -230,7 +234,7 @@ class VectorEnv(GymnasiumVectorEnv):
             self._check_mask(mask)
         if seed is not None:
             self._set_seed(seed)
-            super().reset(seed=seed)
+            super().reset(seed=self.seed)
             self._episodes[:] = 0
         self.rewards[mask] = 0
         self.agent_rewards[mask] = 0

@@ -148,12 +148,13 @@ def test_unequal_agents_who_leave_early() -> None:
 
 @pytest.mark.parametrize("limit", [3, 9])
 def test_max_episode_steps_cuts_episodes(limit: int) -> None:
-    """A limit beyond the environment's own changes nothing."""
+    """A limit beyond the environment's own does not lengthen them."""
     env = envs.make("pettingzoo:toy_queue", 1, max_episode_steps=limit)
-    assert env.episode_limit == min(limit, 6)
+    assert env.episode_limit == limit
     env.reset()
-    results = [env.step([[0, 0, 0]]) for _ in range(env.episode_limit)]
-    assert [bool(result[3][0]) for result in results] == [False] * (env.episode_limit - 1) + [True]
+    length = min(limit, 6)
+    results = [env.step([[0, 0, 0]]) for _ in range(length)]
+    assert [bool(result[3][0]) for result in results] == [False] * (length - 1) + [True]
     assert not results[-1][2][0]
 
 
@@ -237,6 +238,13 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='sequence'"}, "observations without a fixed size"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='no limit'"}, "says nowhere how long .*; --max-episode-steps does"),
         ("pettingzoo:toy_odd", {"env_kwargs": "sort='image'"}, "unexpected keyword argument 'sort'"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='short'"}, "does not fit its space .* it has 1 values"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='short mask'"}, r"agent 1 has 3 actions and the action mask \[1\]"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='newcomer'"}, "'d'.* are not among its possible_agents"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='named teams'"}, "are not a number for each agent"),
+        ("gymnasium:Tuples-v0", {"env_kwargs": "variant='teams from 1'"}, r"its teams \(1, 2\) are not a number"),
+        ("pettingzoo:toy_queue", {"max_episode_steps": -1}, "it must be a whole number from 0 on"),
+        ("pettingzoo:.toy_queue", {}, "is not the name of a module"),
         ("pettingzoo:toy_turns", {}, "agents that act in turn"),
         ("pettingzoo:toy_nothing", {}, "no function parallel_env"),
         ("pettingzoo:toy_import", {}, "needs the module a_package_that_nobody_has"),
@@ -257,6 +265,35 @@ def test_one_clear_sentence(name: str, options: dict[str, Any], message: str) ->
     with pytest.raises(envs.InputError, match=message) as error:
         envs.make(name, **options)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("variant", ["one mask", "masks by number", "flags by number", "one observation"])
+def test_what_is_not_one_thing_for_each_agent(variant: str) -> None:
+    """Taken for it, it would change the game in silence."""
+    env = envs.make("gymnasium:Tuples-v0", env_kwargs={"variant": variant}, max_episode_steps=5)
+    env.reset()
+    with pytest.raises(envs.InputError, match=r"is not one thing for each|neither one flag nor one for each agent"):
+        env.step([[0, 0]])
+
+
+def test_a_state_that_changes_its_size() -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "growing state"})
+    env.reset()
+    with pytest.raises(envs.InputError, match="its state has 2 values now, and had 1"):
+        env.step([[0, 0, 0]])
+
+
+@pytest.mark.parametrize("kind", ["no state", "state is an array"])
+def test_without_a_function_for_the_state(kind: str) -> None:
+    assert envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind}).state_is_observations
+
+
+def test_observations_are_neither_cut_nor_left_out() -> None:
+    """Fractions in a space of integers, and a goal beside the observation."""
+    observations, _ = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "half"}).reset()
+    assert observations[0, 1].tolist() == [0.5, 1.5, 7.5]
+    observations, _ = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "goal"}).reset()
+    assert sorted(observations[0, 1].tolist()) == [0, 1, 7, 8]
 
 
 def test_an_environment_that_goes_on_longer_than_it_seemed_to_say() -> None:

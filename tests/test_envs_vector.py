@@ -144,6 +144,15 @@ def test_totals_of_episodes_of_unequal_length() -> None:
     assert np.isnan(totals.means()["steps"])
 
 
+def test_a_seed_of_numpy_is_one_too() -> None:
+    env = envs.make("lbf-5x5-2p-1f", seed=np.int64(3))  # type: ignore[arg-type]
+    env.reset(seed=np.int64(4))  # type: ignore[arg-type]
+    assert env.seed == 4 and type(env.seed) is int
+    with pytest.raises(TypeError, match="interpreted as an integer"):
+        env.reset(seed=1.7)  # type: ignore[arg-type]
+    assert env.seed == 4
+
+
 def test_one_team_unless_a_family_says_otherwise() -> None:
     assert envs.make("lbf-8x8-3p-2f").teams == (0, 0, 0)
 

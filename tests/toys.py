@@ -67,6 +67,8 @@ class Tuples(gymnasium.Env):
         self.action_space = spaces.Tuple([spaces.Discrete(2), spaces.Discrete(3)])
         if variant == "clock":
             self.max_steps = 4
+        if variant == "teams from 1":
+            self.teams = [1, 2]
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         self.steps = 0
@@ -76,9 +78,13 @@ class Tuples(gymnasium.Env):
         assert isinstance(actions, tuple)
         self.steps += 1
         reward: Any = 2.5 if self.variant == "one reward" else (1, 3)
-        info = {"action_mask": [[1, 0], [0, 1, 1]]} if self.variant == "masks" else {}
+        masks: Any = {"masks": [[1, 0], [0, 1, 1]], "one mask": [1, 0, 1], "masks by number": {0: [1, 0], 1: [0, 1, 1]}}
+        info = {"action_mask": masks[self.variant]} if self.variant in masks else {}
         done: Any = [self.steps == 3] * 2 if self.variant == "lists" else self.steps == 4 and self.variant == "clock"
-        return (np.full(1, self.steps, np.float32), self.steps), reward, done, False, info
+        if self.variant == "flags by number":
+            done = {0: False, 1: False}
+        seen = (np.full(1, self.steps, np.float32), self.steps)
+        return seen[:1] if self.variant == "one observation" else seen, reward, done, False, info
 
 
 class Broken(Queue):
@@ -103,10 +109,35 @@ class Odd(Queue):
         self.max_cycles = 0 if kind == "no limit" else 6  # 0: nothing says when it ends
         if kind == "wrong limit":
             self.max_steps, self.max_cycles = 3, 0
+        if kind == "named teams":
+            self.teams = {"red": ["a", "b"], "blue": ["c"]}  # type: ignore[dict-item]
+        if kind == "state is an array":
+            self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
+
+    def state(self) -> Any:
+        return {"no state": None, "growing state": np.zeros(1 + self.steps)}.get(self.kind, np.zeros(2))
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        seen, infos = super().reset()
+        if self.kind == "newcomer":
+            self.agents.append("d")
+        return seen, infos
+
+    def seen(self) -> dict[str, Any]:
+        seen = super().seen()
+        if "b" in seen:
+            kinds = {"half": seen["b"] + 0.5, "short": seen["b"][:1], "goal": {"observation": seen["b"], "goal": [8]}}
+            seen["b"] = kinds.get(self.kind, seen["b"])
+        return seen
+
+    def infos(self) -> dict[str, Any]:
+        return {"b": {"action_mask": [1]}} if self.kind == "short mask" else super().infos()
 
     def observation_space(self, agent: str) -> Any:
         if self.kind == "image":
             return spaces.Box(0, 1, (4, 4), np.float32)
+        if self.kind == "goal" and agent == "b":
+            return spaces.Dict(observation=super().observation_space(agent), goal=spaces.Box(0, 9, (1,), np.int64))
         return spaces.Sequence(spaces.Discrete(2)) if self.kind == "sequence" else super().observation_space(agent)
 
     def action_space(self, agent: str) -> Any:
