@@ -107,7 +107,7 @@ class PettingZooEnv(ParallelEnv):
         if not space.contains(action):
             raise ValueError(f"{self.env.name}: {agent} has no action {action!r}; its actions are 0 to {space.n - 1}.")
         allowed = self.env.action_mask[0, i]
-        return int(action) if allowed[action] or self.strict else int(allowed.argmax())
+        return int(action) if allowed[int(action)] or self.strict else int(allowed.argmax())
 
     def _infos(self) -> Infos:
         """The agents' masks."""

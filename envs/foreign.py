@@ -83,7 +83,10 @@ class Game:
         self.can_draw = source.pictures and "rgb_array" in getattr(self.env, "metadata", {}).get("render_modes", ())
         if self.can_draw and "render_mode" not in source.kwargs:
             # The first one is not closed, since this can end pygame for all others in the process.
-            self.env = self.build(source, {"render_mode": "rgb_array"})
+            try:
+                self.env = self.build(source, {"render_mode": "rgb_array"})
+            except InputError:  # it names the mode, but takes no such argument
+                self.can_draw = False
 
         observation_spaces, action_spaces = self.spaces()
         self.n_agents = len(action_spaces)

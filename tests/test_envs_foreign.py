@@ -288,6 +288,11 @@ def test_without_a_function_for_the_state(kind: str) -> None:
     assert envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind}).state_is_observations
 
 
+def test_pictures_that_cannot_be_had() -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "picture"}, pictures=True)
+    assert not env.can_draw and env.reset()[0].shape == (1, 3, 3)
+
+
 def test_observations_are_neither_cut_nor_left_out() -> None:
     """Fractions in a space of integers, and a goal beside the observation."""
     observations, _ = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "half"}).reset()

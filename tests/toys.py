@@ -111,6 +111,8 @@ class Odd(Queue):
             self.max_steps, self.max_cycles = 3, 0
         if kind == "named teams":
             self.teams = {"red": ["a", "b"], "blue": ["c"]}  # type: ignore[dict-item]
+        if kind == "picture":
+            self.metadata = {"render_modes": ["rgb_array"]}  # but there is no argument render_mode
         if kind == "state is an array":
             self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
 
