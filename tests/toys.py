@@ -112,7 +112,7 @@ class Odd(Queue):
         if kind == "named teams":
             self.teams = {"red": ["a", "b"], "blue": ["c"]}  # type: ignore[dict-item]
         if kind == "picture":
-            self.metadata = {"render_modes": ["rgb_array"]}  # but there is no argument render_mode
+            self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]  # but it takes no render_mode
         if kind == "state is an array":
             self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
 
