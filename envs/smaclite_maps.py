@@ -65,7 +65,7 @@ LITE_UNITS = {
 
 
 # StarCraft's clock is 1.4 times slower than SMAClite's, but for shields, energy and healing. That its spine crawler
-# looks around was not measured in the game; it follows from the paper, where IA2C's average return on 2s_vs_1sc is
+# looks around was not measured in the game; it was chosen by the paper, where IA2C's average return on 2s_vs_1sc is
 # 19.74, so that it must win from the first million steps on. It does so here, too. With a crawler that keeps its target
 # IA2C stayed at 10 for 20 million steps and never won: a stalker must then flee for two steps to be left in peace.
 LOOP = 1 / 16  # of StarCraft's game, in seconds; SMAC divides cooldowns by a constant number of them
