@@ -234,6 +234,7 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
     [
         ("gymnasium:Pendulum-v1", {}, "these algorithms need discrete ones"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='continuous'"}, "these algorithms need discrete ones"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='nobody'"}, "has no agents"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='image'"}, r"\(4, 4\) as observations; --flatten-images"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='sequence'"}, "observations without a fixed size"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='no limit'"}, "says nowhere how long .*; --max-episode-steps does"),
@@ -291,6 +292,17 @@ def test_without_a_function_for_the_state(kind: str) -> None:
 def test_pictures_that_cannot_be_had() -> None:
     env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "picture"}, pictures=True)
     assert not env.can_draw and env.reset()[0].shape == (1, 3, 3)
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "picture of fractions"}, pictures=True)
+    env.reset()
+    with pytest.raises(envs.InputError, match="has no picture of integers from 0 to 255"):
+        env.frame()
+
+
+def test_bounds_wider_than_our_numbers() -> None:
+    """Ours have 32 bits."""
+    space = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "wide"}).single_observation_space
+    assert space.dtype == np.float32
+    assert [float(space.low.min()), float(space.high.max())] == [-np.finfo(np.float32).max, np.finfo(np.float32).max]
 
 
 def test_observations_are_neither_cut_nor_left_out() -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import envs
 from envs import kernels
-from envs.vector import episode_generator, episode_seed, forbidden_action
+from envs.vector import VectorEnv, episode_generator, episode_seed, forbidden_action
 
 TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")
 
@@ -547,3 +547,11 @@ def test_choices_of_unequal_agents() -> None:
     assert info["action_mask"].sum(axis=2).tolist() == [[3, 5], [3, 5]]
     draws = np.array([env.action_space.sample() for _ in range(200)])
     assert draws[:, :, 0].max() == 2 and draws[:, :, 1].max() == 4
+
+
+@pytest.mark.parametrize("choices", [(2,), (2, 3, 2), (0, 3), (2, 4)])
+def test_wrong_choices(choices: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="it must have a number from 1 to 3 for each agent"):
+        VectorEnv(
+            "toy", 1, 0, False, n_agents=2, n_actions=3, obs_size=1, episode_limit=5, low=0, high=1, choices=choices
+        )

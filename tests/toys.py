@@ -104,15 +104,21 @@ class Broken(Queue):
 class Odd(Queue):
     """One of the kinds that cannot be played, or only with help."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, render_mode: str | None = None) -> None:
+        if kind == "picture" and render_mode:
+            raise TypeError("there is no such argument")
         self.kind = kind
         self.max_cycles = 0 if kind == "no limit" else 6  # 0: nothing says when it ends
         if kind == "wrong limit":
             self.max_steps, self.max_cycles = 3, 0
         if kind == "named teams":
             self.teams = {"red": ["a", "b"], "blue": ["c"]}  # type: ignore[dict-item]
+        if kind == "nobody":
+            self.possible_agents = []
+        if kind == "picture of fractions":
+            self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]
         if kind == "picture":
-            self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]  # but it takes no render_mode
+            self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]  # but see above
         if kind == "state is an array":
             self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
 
@@ -132,10 +138,15 @@ class Odd(Queue):
             seen["b"] = kinds.get(self.kind, seen["b"])
         return seen
 
+    def render(self) -> Any:
+        return np.full((4, 4, 3), 0.5)
+
     def infos(self) -> dict[str, Any]:
         return {"b": {"action_mask": [1]}} if self.kind == "short mask" else super().infos()
 
     def observation_space(self, agent: str) -> Any:
+        if self.kind == "wide":
+            return spaces.Box(-np.inf, np.finfo(np.float64).max, (3 if agent == "b" else 2,), np.float64)
         if self.kind == "image":
             return spaces.Box(0, 1, (4, 4), np.float32)
         if self.kind == "goal" and agent == "b":
