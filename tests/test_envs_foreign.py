@@ -301,7 +301,7 @@ def test_pictures_that_cannot_be_had() -> None:
 def test_bounds_wider_than_our_numbers() -> None:
     """Ours have 32 bits."""
     space = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "wide"}).single_observation_space
-    assert space.dtype == np.float32
+    assert isinstance(space, gymnasium.spaces.Box) and space.dtype == np.float32
     assert [float(space.low.min()), float(space.high.max())] == [-np.finfo(np.float32).max, np.finfo(np.float32).max]
 
 
