@@ -13,6 +13,7 @@ Flags behind -- are for the scripts, such as -- --total-timesteps 1000000. On a 
 """
 
 import argparse
+import contextlib
 import errno
 import functools
 import multiprocessing
@@ -124,6 +125,7 @@ class Campaign:
 
     def go_on(self) -> None:
         """Runs until all is done or has failed, or a stop is asked for and all have stopped."""
+        self.skip_collected()
         try:
             while self.jobs or (self.waiting and not self.stopping):
                 while self.waiting and not self.stopping and len(self.jobs) < self.places():
@@ -141,6 +143,14 @@ class Campaign:
                 self.look_at_jobs()
                 time.sleep(0.1)
             self.view.close()
+
+    def skip_collected(self) -> None:
+        """Counts what the results hold from the start. `begin` says which tables are damaged."""
+        for run in self.plan:
+            with contextlib.suppress(ValueError, OSError):
+                if in_results(run, self.results):
+                    self.done.add(run.directory)
+        self.waiting = deque(run for run in self.plan if run.directory not in self.done)
 
     @property
     def stopping(self) -> bool:

@@ -574,6 +574,15 @@ class TestView:
         assert "0 of 1 runs in the results, 1 running" in said and view.HEADER in said
         assert "1,000      1.50" in said  # steps per second, last return
 
+    def test_what_the_results_hold_counts_from_the_start(self, monkeypatch, capsys):
+        monkeypatch.setattr(view, "LINES_EVERY", 0.2)
+        words = "--seeds", 1, "--jobs", 1, "--", "--pace", "0.02"
+        assert campaign(monkeypatch, "--algorithms", "mappo", *words) == 0
+        capsys.readouterr()
+        assert campaign(monkeypatch, "--algorithms", "ia2c", "mappo", *words) == 0
+        said = capsys.readouterr().err
+        assert "1 of 2 runs in the results, 1 running" in said and "0 of 2" not in said
+
     def test_ctrl_c_in_a_terminal(self, tmp_path):
         """A table that is redrawn; Ctrl-C reaches the runs once, and they keep their checkpoints."""
         pid, terminal = pty.fork()
