@@ -146,6 +146,7 @@ def test_wrong_actions(actions: dict[str, Any], message: str) -> None:
         env.step(actions)
     np.testing.assert_array_equal(env.state(), before)
     env.step({"agent_0": np.int32(2), "agent_1": np.array(4)})
+    env.step({"agent_0": True, "agent_1": True})  # Python and Gymnasium take a bool for an int
 
 
 def test_what_is_returned_is_the_callers() -> None:
