@@ -4,22 +4,22 @@ Every agent has a policy (the actor), which chooses an action from the agent's o
 critic, needed in training only, sees the state and what the other agents do (a_-i), and values each
 action that agent i could take. So an action is compared with the policy's average over all actions,
 while the others' actions stay as they are: this is the counterfactual baseline, and it shows each
-agent its own part in the team's success. Q' is a slowly moving copy of the critic Q.
+agent its own part in the team's success. Q' is an older or a slowly moving copy of Q.
 
     G_i,t     = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n Q'_i(s_{t+n}, a_{t+n})
     A_i,t     = Q_i(s_t, a_t) - sum_a pi_i(a | o_i,t) Q_i(s_t, (a, a_-i,t))
     L(critic) = mean over t of sum over i of (G_i,t - Q_i(s_t, a_t))^2
     L(actor)  = - mean [ A_i,t log pi_i(a_i,t | o_i,t) + e H(pi_i(. | o_i,t)) ]
 
-G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. The baseline does
-not bias the gradient: it is the same number b whatever action agent i takes, and the policy's mean
-of b grad log pi is b grad sum_a pi(a) = b grad 1 = 0. It only takes noise away. There are no
-individual rewards, since the critic values joint actions by the team's reward.
+r is the team's reward, G the n-step return, A the advantage, H the entropy, and e is
+--entropy-coef. The baseline does not bias the gradient: it is the same number b whatever action
+agent i takes, and the policy's mean of b grad log pi is b grad sum_a pi(a) = b grad 1 = 0. It is
+there to reduce noise. There are no individual rewards, since the critic values joint actions.
 
 Algorithm: Foerster et al., "Counterfactual Multi-Agent Policy Gradients" (2018). Hyperparameters:
 Papoudakis et al. (2021), arXiv:2006.07869. As in that paper's code, targets are n-step returns and
-not TD(lambda). The code replaced the last reward of an episode by a value; here the reward stays,
-and after a time-out the next state's value is added, at actions drawn there. The code also counted
+not TD(lambda). The code replaced the rewards of a batch's last step by values; here they stay, and
+after a time-out the next state's value is added, at actions drawn there. The code also counted
 padding when it standardised rewards, and gave actors their ids even without parameter sharing.
 
     python algos/coma.py --env lbf-15x15-3p-5f
@@ -195,7 +195,7 @@ def n_step_returns(
     after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
     values = torch.cat([values[:1], after])
     returns = values  # a 0-step return is the value alone
-    for _ in range(min(n, len(rewards))):  # a reward and the next k-step return make k + 1 steps
+    for _ in range(min(n, len(rewards))):  # a reward and the next step's k-step return: k + 1 steps
         longer = rewards + gamma * returns[1:]
         longer = torch.where(played.unsqueeze(-1), longer, values[:-1])  # nothing beyond the end
         returns = torch.cat([longer, values[-1:]])

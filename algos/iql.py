@@ -3,14 +3,14 @@
 Every agent learns the value Q_i of its own actions as if it were alone, and the others are a part
 of its world. One environment plays one episode, in which each agent takes its best action or, with
 probability epsilon, any. Then one gradient step is made on a batch of whole episodes from the
-replay. Q' is an older or a slowly moving copy of Q: a target that does not run away from the
-network that learns it.
+replay. Q' is an older or a slowly moving copy of Q, so that the target does not follow every step
+of Q.
 
     a*_i,t+1 = argmax_a Q_i(o_i,t+1, a)
     y_i,t    = r_t + gamma Q'_i(o_i,t+1, a*_i,t+1)         only r_t where the episode ended
     L        = mean over agents and steps of (y_i,t - Q_i(o_i,t, a_i,t))^2
 
-Q chooses the next action and Q' values it (double Q-learning).
+r is the team's reward. Q chooses the next action and Q' values it (double Q-learning).
 
 Algorithm: Tan, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents" (1993).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms

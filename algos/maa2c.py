@@ -3,24 +3,24 @@
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the state of the whole game and tells how much reward is still
 to come. Ten environments play one episode each. Then the policies make one gradient step towards
-the actions that went better than the critic expected. V' is a slowly moving copy of the critic V: a
-target that does not run away from the network that learns it.
+the actions that went better than the critic expected. V' is an older or a slowly moving copy of the
+critic V, so that the target does not follow every step of V.
 
     G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(s_{t+n})
     A_t       = G_t - V(s_t)
     L(critic) = mean (G_t - V(s_t))^2
     L(actor)  = - mean [ A_t log pi(a_t | o_t) + e H(pi(. | o_t)) ]
 
-G is the n-step return, A the advantage, H the entropy, and e is --entropy-coef. Without A,
-the step would make every taken action likelier. With A, actions that went better than expected get
-likelier, and the others rarer.
+r is the team's reward, G the n-step return, A the advantage, H the entropy, and e is
+--entropy-coef. Without A, the step would make every taken action likelier. With A, actions that
+went better than expected get likelier, and the others rarer.
 
 Algorithm: the paper named next, which gives the A2C of Mnih et al. (2016) a critic of the state.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As in that paper there is no GAE, and advantages are not normalised.
-We differ from the paper's code in two points. It replaced the last reward of an episode by a value;
-here the reward stays, and if time ran out, the value of the state after it is added. It also
-counted padding when it standardised rewards.
+We differ from the paper's code in two points. It replaced the rewards of a batch's last step by
+values; here they stay, and where time ran out, the value of the state after it is added. It also
+counted padding, the rows after an episode's end, when it standardised rewards.
 
     python algos/maa2c.py --env lbf-15x15-3p-5f
     python algos/maa2c.py --watch runs/lbf-15x15-3p-5f/maa2c-shared/seed0
@@ -195,7 +195,7 @@ def n_step_returns(
     after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
     values = torch.cat([values[:1], after])
     returns = values  # a 0-step return is the value alone
-    for _ in range(min(n, len(rewards))):  # a reward and the next k-step return make k + 1 steps
+    for _ in range(min(n, len(rewards))):  # a reward and the next step's k-step return: k + 1 steps
         longer = rewards + gamma * returns[1:]
         longer = torch.where(played.unsqueeze(-1), longer, values[:-1])  # nothing beyond the end
         returns = torch.cat([longer, values[-1:]])

@@ -6,7 +6,7 @@ are worth. The policies follow the critic's gradient towards better actions. For
 have a gradient: it is drawn as a one-hot vector that passes on the gradient of the softmax behind
 it (Gumbel-softmax, straight through). One environment plays one episode. Then actors and critic
 make one gradient step each, on a batch of whole episodes from the replay. Q' and mu' are older or
-slowly moving copies; mu' takes the likeliest action.
+slowly moving copies of critic and policies; mu' takes the likeliest action.
 
     y_i,t     = r_t + gamma Q'_i(s_{t+1}, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
@@ -18,7 +18,7 @@ with a gradient and a_-i without; c, --actor-regularisation, keeps them from bec
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
 (2017). Hyperparameters: Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out
 counts as an end. Its code left out the steps that end an episode, trained on padding, and began the
-target network's GRU one step late. We do not; in foraging our results are better than the paper's.
+target network's GRU one step late. We do not, and our results on lbf-8x8-2p-2f-c are better.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0

@@ -4,8 +4,8 @@ Every agent has a policy (the actor), which chooses an action from the agent's o
 critic, needed in training only, sees the state of the whole game and tells how much reward is still
 to come. Ten environments play one episode each. Then the policies make four gradient steps towards
 the actions that went better than the critic expected. The clipped ratio of probabilities takes away
-the reason to move far from the policy that gathered the experience. V' is a slowly moving copy of
-the critic V: a target that does not run away from the network that learns it.
+the reason to move far from the policy that gathered the experience. V' is an older or a slowly
+moving copy of the critic V, so that the target does not follow every step of V.
 
     G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(s_{t+n})
     A_t       = G_t - V(s_t)
@@ -13,14 +13,16 @@ the critic V: a target that does not run away from the network that learns it.
     L(critic) = mean (G_t - V(s_t))^2
     L(actor)  = - mean [ min(rho_t A_t, clip(rho_t, 1 - c, 1 + c) A_t) + e H(pi(. | o_t)) ]
 
-G is the n-step return, A the advantage, H the entropy, c is --clip-coef, and e is --entropy-coef.
+r is the team's reward, G the n-step return, A the advantage, H the entropy, c is --clip-coef, and e
+is --entropy-coef.
 
 Algorithm: Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games" (2021).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As in that paper there is no GAE, there are no minibatches, and
 neither advantages nor values are normalised or clipped. We differ from the paper's code in two
-points. It replaced the last reward of an episode by a value; here the reward stays, and if time ran
-out, the value of the state after it is added. It also counted padding when it standardised rewards.
+points. It replaced the rewards of a batch's last step by values; here they stay, and where time ran
+out, the value of the state after it is added. It also counted padding, the rows after an episode's
+end, when it standardised rewards.
 
     python algos/mappo.py --env lbf-15x15-3p-5f
     python algos/mappo.py --watch runs/lbf-15x15-3p-5f/mappo-shared/seed0
@@ -197,7 +199,7 @@ def n_step_returns(
     after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
     values = torch.cat([values[:1], after])
     returns = values  # a 0-step return is the value alone
-    for _ in range(min(n, len(rewards))):  # a reward and the next k-step return make k + 1 steps
+    for _ in range(min(n, len(rewards))):  # a reward and the next step's k-step return: k + 1 steps
         longer = rewards + gamma * returns[1:]
         longer = torch.where(played.unsqueeze(-1), longer, values[:-1])  # nothing beyond the end
         returns = torch.cat([longer, values[-1:]])

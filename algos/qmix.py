@@ -157,7 +157,7 @@ class MultiAgentNetwork(nn.Module):
 class Mixer(nn.Module):
     """Mix(q; s) of the docstring above. Small "hypernetworks" of the state make W1, b1, w2 and b2.
 
-    Their sizes are the QMIX authors': 32 units in the mix, and 64 hidden units before its weights.
+    Their sizes are those of the authors' code: 32 units in the mix, 64 hidden ones for its weights.
     """
 
     def __init__(self, n_agents: int, state_size: int):

@@ -5,15 +5,15 @@ what the team does together. The idea: the sum never falls where one agent's val
 actions that are best for each agent are together the best for the team, and nobody has to search
 all joint actions. One environment plays one episode, in which each agent takes its best action or,
 with probability epsilon, any. Then one gradient step is made on a batch of whole episodes from the
-replay. Q' is an older or a slowly moving copy of Q: a target that does not run away from the
-network that learns it.
+replay. Q' is an older or a slowly moving copy of Q, so that the target does not follow every step
+of Q.
 
     a*_i,t+1 = argmax_a Q_i(o_i,t+1, a)
     y_t      = r_t + gamma sum_i Q'_i(o_i,t+1, a*_i,t+1)         only r_t where the episode ended
     L        = mean over steps of (y_t - sum_i Q_i(o_i,t, a_i,t))^2
 
-Q chooses the next actions and Q' values them (double Q-learning). There are no individual rewards,
-since one value is learned for the team.
+r is the team's reward. Q chooses the next actions and Q' values them (double Q-learning). There are
+no individual rewards, since one value is learned for the team.
 
 Algorithm: Sunehag et al., "Value-Decomposition Networks For Cooperative Multi-Agent Learning"
 (2018). Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning
