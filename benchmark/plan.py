@@ -147,6 +147,10 @@ def make_plan(
 
 def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: Path) -> tuple[dict[str, Any], Path]:
     """What all seeds of a setting have in common, and their folder."""
+    for word in flags:
+        name = word.partition("=")[0].removeprefix("--").replace("-", "_").removeprefix("no_")
+        if word.startswith("--") and name in OF_THIS_PROGRAM:
+            raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
     module: Any = script(algorithm)
     words = script_flags(task, sharing, flags)
     try:
@@ -158,9 +162,6 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
     if args.eval_points < 2:
         raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
     paper = module.paper_defaults(task, sharing)
-    for name in OF_THIS_PROGRAM:
-        if getattr(args, name) != getattr(paper, name):
-            raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
     changed = changed_flags(args, paper)
     setting = {
         "algorithm": algorithm,
@@ -200,6 +201,25 @@ def condition(run: Run) -> str:
             raise Damaged("it has no checkpoint that can be read")
         return "new"
     return "complete" if is_complete(run) else "begun"
+
+
+def check_flags(run: Run) -> None:
+    """ValueError where the directory holds a run with other flags, such as a shorter one that was made by hand.
+
+    Where config.json cannot be read, nothing is known yet: the script makes it again.
+    """
+    try:
+        config = json.loads((run.directory / "config.json").read_text())
+        there = config["changed"] | {"seed": config["flags"]["seed"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    wanted = run.changed | {"seed": run.seed}
+    different = sorted(name for name in there.keys() | wanted.keys() if there.get(name) != wanted.get(name))
+    if different:
+        raise ValueError(
+            f"{run.directory} holds a run with another {', '.join(different)}: move it away, or keep the campaign's "
+            "runs elsewhere with --runs"
+        )
 
 
 def drop_damaged_checkpoints(run: Run) -> list[str]:

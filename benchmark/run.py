@@ -46,6 +46,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 STOPPED = {code for number in SIGNALS for code in (-number, 128 + number)}  # exit codes of a run that was asked to stop
 DAMAGE = re.compile("is damaged|is gone|can be read")  # what a script says of a directory that it cannot go on with
+FULL = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT)]  # the disk, or the user's part of it
 TIMING_SECONDS = 1.0
 LEAST_FREE = 2**20  # bytes; a run on a fuller disk cannot even say why it fails
 MOST_LOSSES = 3  # a run whose node is lost more often has failed
@@ -208,8 +209,10 @@ class Campaign:
             place = plan.set_aside(run, self.folder)
             self.view.say(f"{run}: damaged, {damage}; kept in {place} and begun anew")
             return "new"
-        for name in plan.drop_damaged_checkpoints(run) if there == "begun" else []:
-            self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
+        if there == "begun":
+            plan.check_flags(run)
+            for name in plan.drop_damaged_checkpoints(run):
+                self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
         return there
 
     def fail(self, run: Run, reason: str, where: Path | None = None) -> None:
@@ -217,7 +220,7 @@ class Campaign:
         self.failed[run.directory] = reason if where is None else f"{reason} ({where})"
         self.view.say(f"{run}: failed, {reason}")
         full = shutil.disk_usage(self.folder).free < LEAST_FREE
-        if full or os.strerror(errno.ENOSPC) in reason:  # every other run would fail, too
+        if full or any(sentence in reason for sentence in FULL):  # every other run would fail, too
             self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def finish(self, run: Run, code: int, lost: bool) -> None:
@@ -259,8 +262,9 @@ class Campaign:
     def collect(self, run: Run) -> None:
         """Puts a complete run into the results."""
         try:
+            plan.check_flags(run)
             collect_run(run.directory, self.results)
-        except (ValueError, OSError) as error:  # ValueError: it does not fit to the other seeds
+        except (ValueError, OSError) as error:  # ValueError: it is another run, or does not fit to the other seeds
             self.fail(run, f"complete, but not collected: {error}", run.directory)
         else:
             self.done.add(run.directory)
@@ -322,10 +326,11 @@ def last_line(log: Path) -> str:
 # --- before it runs ---
 def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
     """Prints the plan, and what is left of it in core hours, from a short timing of each setting. Gives the exit code:
-    1 where a table of the results is damaged.
+    1 where a run would fail, as with a damaged table of the results.
 
     The timing counts the processor's time, so that what else the machine does hardly matters.
     """
+    left = 0  # runs
     steps: dict[tuple[str, str, bool], float] = {}
     examples: dict[tuple[str, str, bool], Run] = {}
     code = 0
@@ -334,16 +339,18 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
             if in_results(run, results):
                 print(f"{run}: in the results")
                 continue
+            there = plan.condition(run)
+            if there != "new":
+                plan.check_flags(run)
+        except Damaged as damage:
+            there = f"damaged, {damage}: to be kept aside and begun anew"
         except (ValueError, OSError) as error:
             print(f"{run}: would fail, {error}")
             code = 1
             continue
-        try:
-            there = plan.condition(run)
-        except Damaged as damage:
-            there = f"damaged, {damage}: to be kept aside and begun anew"
         print(f"{run}: {there}")
         if there != "complete":
+            left += 1
             setting = run.task, run.algorithm, run.sharing
             examples.setdefault(setting, run)
             share = read_progress(run.directory).share if there == "begun" else 0.0
@@ -361,11 +368,11 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
             flags = plan.script_flags(run.task, run.sharing, run.flags)
             timing = pool.submit(training.measure, run.algorithm, flags, TIMING_SECONDS, time.process_time)
             rate = timing.result().rate
-            left = steps[setting] / rate / 3600
-            hours += left
+            needed = steps[setting] / rate / 3600
+            hours += needed
             name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
-            print(f"{name}: {rate:,.0f} steps/s, {left:.2f} core hours", flush=True)
-    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / jobs)} (h:min:s).")
+            print(f"{name}: {rate:,.0f} steps/s, {needed:.2f} core hours", flush=True)
+    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / min(jobs, left))} (h:min:s).")
     return code
 
 

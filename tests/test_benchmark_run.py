@@ -259,6 +259,9 @@ class TestPlan:
             (["--tasks", "matrix-climbin"], "unknown task 'matrix-climbin'"),
             (["--", "--no-such-flag", "1"], "ia2c on matrix-climbing does not take"),
             (["--", "--seed", "7"], "--seed is chosen by this program"),
+            (["--", "--seed", "0"], "--seed is chosen by this program"),  # its default, which would go for all seeds
+            (["--", "--no_resume"], "--resume is chosen by this program"),
+            (["--", "--run-dir=here"], "--run-dir is chosen by this program"),
             (["--", "--eval-points", "1"], "--eval-points must be 2 or more"),
             (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
             (["--jobs", "0"], "must be positive"),
@@ -323,6 +326,22 @@ class TestRunning:
         monkeypatch.setattr(run, "LocalJob", None)  # no run may start
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert seeds_of("ia2c-shared") == {0: 20.0}
+
+    @pytest.mark.parametrize("steps", [20, 80])
+    def test_a_run_with_other_flags_is_left_alone(self, monkeypatch, capsys, steps):
+        """One that was made by hand, shorter or longer, in the directory that a script chooses by itself."""
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere", "--", "--total-timesteps", steps) == 0
+        folder_of(0, f"ia2c-shared-total-timesteps={steps}").parent.rename(folder_of(0).parent)
+        before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
+        capsys.readouterr()
+        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
+        said = f"{folder_of(0).resolve()} holds a run with another total_timesteps: move it away"
+        assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
+        assert f"seed 0: would fail, {said}" in capsys.readouterr().out
+        assert campaign(monkeypatch, "--seeds", 2) == 1
+        assert said in capsys.readouterr().out and seeds_of("ia2c-shared") == {1: 20.0}
+        assert before == {path: path.read_bytes() for path in folder_of(0).iterdir()}
 
     def test_a_failure_is_kept_and_the_others_go_on(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 3, "--jobs", 1, "--", "--trouble", "fails1") == 1
@@ -625,6 +644,8 @@ class TestDryRun:
         said = capsys.readouterr().out  # 5 seeds of 36 million steps at 10,000 a second: one hour each
         assert "matrix-climbing ia2c shared: 10,000 steps/s, 5.00 core hours" in said
         assert "In all 5.0 core hours, with --jobs 2 about 2:30:00" in said
+        assert campaign(monkeypatch, "--seeds", 1, "--jobs", 9, "--dry-run", "--", "--total-timesteps", steps) == 0
+        assert "with --jobs 9 about 1:00:00" in capsys.readouterr().out  # one run, however many there could be
         assert not list(Path("runs").rglob("*total-timesteps*"))
 
     def test_nothing_is_left(self, monkeypatch, capsys):
