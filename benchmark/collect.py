@@ -22,7 +22,6 @@ from envs import runs
 from envs.runs import one_sentence
 from results import COLUMNS, RESULTS, read_evaluations, read_json, read_settings, read_table, table_path
 
-PER_RUN = {"seed", "run_dir", "resume", "watch", "track", "device", "threads"}  # flags that are not part of a setting
 NOT_COMPLETE = "it is not complete"
 SECONDS = ["wall_seconds", "cpu_seconds"]
 ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "preloaded")
@@ -53,8 +52,12 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
     Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
     """
     seed = str(config["flags"]["seed"])
-    flags = {name: value for name, value in config["flags"].items() if name not in PER_RUN}
-    known = settings.get("flags", {})
+    if set(settings["seeds"]) <= {seed}:  # nothing else has to fit
+        settings.pop("flags", None)
+    known, flags = (
+        {name: value for name, value in some.items() if name not in runs.OF_ONE_RUN}
+        for some in (settings.get("flags", {}), config["flags"])
+    )
     different = sorted(name for name in known.keys() & flags.keys() if known[name] != flags[name])
     if settings.get("changed", config["changed"]) != config["changed"]:
         different.append("choice of changed flags")

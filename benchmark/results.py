@@ -188,8 +188,8 @@ def summarise(evaluations: pd.DataFrame, column: str = "return_mean") -> pd.Data
     by_point = measured.groupby([*KEY, "point"])[column].agg(["mean", "std", "count"]).reset_index("point")
     by_point["interval"] = interval(by_point["std"], by_point["count"])
     by_point["rank"] = by_point["mean"].round(9)  # equal means may differ in their last bits
-    best = by_point.sort_values(["rank", "point"], ascending=[False, True]).groupby(level=KEY).first()
-    last = by_point.groupby(level=KEY).last()
+    best = by_point.sort_values(["rank", "point"], ascending=[False, True]).groupby(level=KEY).head(1)
+    last = by_point.groupby(level=KEY).tail(1)  # not last(), which would take an interval of an earlier point
     own_means = measured.groupby([*KEY, "seed"])[column].mean()
     average = own_means.groupby(level=KEY).agg(["mean", "std", "count"])
     return pd.DataFrame(

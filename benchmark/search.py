@@ -18,19 +18,20 @@ from typing import Any
 
 import pandas as pd
 
-from results import load, read_settings, setting_name, summarise
+from results import KEY, load, read_settings, setting_name, summarise
 
 SEEDS = 3
 NOT_SEARCHED = {"total_timesteps", "eval_points", "eval_episodes"}
-GROUP = ["task", "algorithm", "sharing"]
+GROUP = ["task", "algorithm", "sharing", "total_timesteps"]  # settings that compare with each other
 Flags = dict[str, Any]
 
 
 def ranked(evaluations: pd.DataFrame) -> pd.DataFrame:
-    """The settings of every task, algorithm and sharing, the best first; columns as `results.summarise` has them."""
+    """The settings of every GROUP, the best first; columns as `results.summarise` has them."""
     summary = summarise(evaluations).reset_index()
+    summary = summary.merge(evaluations[[*KEY, "total_timesteps"]].drop_duplicates(), on=KEY)
     summary["score"] = summary["maximum"].round(9)  # equal scores may differ in their last bits
-    return summary.sort_values([*GROUP, "score", "average"], ascending=[True, True, False, False, False])
+    return summary.sort_values([*GROUP, "score", "average"], ascending=[True, True, False, False, False, False])
 
 
 def read_flags(results: Path) -> dict[tuple[Any, ...], Flags]:
@@ -50,7 +51,7 @@ def search_report(results: Path) -> str:
     flags = read_flags(results)
     budgets = evaluations.groupby(["task", "algorithm"])["paper_timesteps"].first()
     parts = []
-    for (task, algorithm, sharing), rows in ranked(evaluations).groupby(GROUP, sort=False):
+    for (task, algorithm, sharing, _), rows in ranked(evaluations).groupby(GROUP, sort=False):
         variants = [flags[task, algorithm, sharing, setting] for setting in rows["setting"]]
         title = f"### {algorithm} {'with' if sharing else 'without'} parameter sharing on {task}"
         parts += [title, in_words(rows, variants, budgets[task, algorithm]), variants_table(rows, variants)]
@@ -63,8 +64,9 @@ def is_the_papers(setting: str) -> bool:
 
 
 def searched_flags(variants: list[Flags]) -> list[str]:
-    """The flags that are not the same in all variants."""
-    return [name for name in variants[0] if len({str(variant.get(name)) for variant in variants}) > 1]
+    """The flags that are not the same in all variants. A flag that only later versions of the scripts have is none."""
+    common = [name for name in variants[0] if all(name in variant for variant in variants)]
+    return [name for name in common if len({str(variant[name]) for variant in variants}) > 1]
 
 
 def in_words(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) -> str:

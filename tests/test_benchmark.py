@@ -107,6 +107,22 @@ def test_a_seed_with_other_returns_is_kept_unless_it_is_replaced(tmp_path):
     assert table(there)[-1]["return_mean"] == "11.0" and len(table(there)) == 2
 
 
+def test_replacing_the_only_seed_replaces_the_flags(tmp_path):
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "first", hidden_dim=64), there)
+    with pytest.raises(ValueError, match="made with another hidden_dim"):
+        collect.collect_run(make_run(tmp_path / "other", 1, hidden_dim=128), there)
+    path = collect.collect_run(make_run(tmp_path / "second", hidden_dim=128), there, replace=True)
+    assert json.loads(path.with_suffix(".json").read_text())["flags"]["hidden_dim"] == 128
+
+
+def test_flags_of_one_run_are_no_part_of_a_setting(tmp_path):
+    there = tmp_path / "results"
+    collect.collect_run(make_run(tmp_path / "first", env_workers=0), there)
+    path = collect.collect_run(make_run(tmp_path / "second", 1, env_workers=4), there)
+    assert "env_workers" not in json.loads(path.with_suffix(".json").read_text())["flags"]
+
+
 def test_incomplete_runs_are_left_out(tmp_path):
     make_run(tmp_path / "runs" / "short", reached=2_499_999)
     shutil.copytree(tmp_path / "runs" / "short", tmp_path / "runs" / "unborn")
@@ -395,6 +411,8 @@ def test_maximum_average_and_last_by_hand():
     assert row["average"] == pytest.approx(11 / 3)  # the seeds' own means are 2 and 16 / 3
     assert row["average_interval"] == pytest.approx(10 / 3)
     assert row["last"] == 5 and row["last_interval"] == pytest.approx(6)
+    crashed = results.summarise(evaluations([[0, 4, 2], [2, 6, np.nan]])).iloc[0]  # the last point has one seed left
+    assert crashed["last"] == 2 and np.isnan(crashed["last_interval"])
     single = results.summarise(evaluations([[9, 4]])).iloc[0]
     assert single["maximum"] == 9 and single["maximum_point"] == 0 and np.isnan(single["maximum_interval"])
 
@@ -586,6 +604,13 @@ def test_the_papers_claims_by_its_own_tables():
 def test_claims_wait_for_results():
     verdicts = claims.judge(results.our_cells(evaluations([[0, 1]])))
     assert {verdict.verdict for verdict in verdicts} == {claims.UNKNOWN}
+
+
+def test_the_papers_own_task_goes_before_the_one_that_stands_in_for_it():
+    parts = [evaluations([[0, 1]] * 5, task="smac-3s5z"), evaluations([[0, 2]] * 5, task="smaclite-3s5z-sc2")]
+    for runs in (parts, parts[::-1]):
+        assert claims.View(results.our_cells(pd.concat(runs))).value("mappo", "smac-3s5z") == 1
+    assert claims.View(results.our_cells(parts[1])).value("mappo", "smac-3s5z") == 2
 
 
 def test_what_the_claims_words_mean():

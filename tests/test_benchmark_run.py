@@ -38,7 +38,7 @@ import view
 BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
 
 STAND_IN = """
-import argparse, json, os, signal, sys, time, zipfile
+import argparse, errno, json, os, signal, sys, time, zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -147,8 +147,9 @@ def main():
             sys.exit(128 + stopped[0])
         if args.trouble == f"fails{args.seed}":
             sys.exit("It fails for a reason.")
-        if args.trouble == "disk":
-            sys.exit(print("[Errno 28] No space left on device", file=sys.stderr) or 2)
+        if args.trouble in ("ENOSPC", "EDQUOT"):
+            number = getattr(errno, args.trouble)
+            sys.exit(print(f"[Errno {number}] {os.strerror(number)}", file=sys.stderr) or 2)
         if os.getppid() != parent:
             os._exit(1)
         time.sleep(args.pace)
@@ -380,8 +381,9 @@ class TestRunning:
         begun = {name: int(log.split()[2]) for name, log in logs.items()}
         assert 0 < begun["log-seed0.txt"] < 40 and begun["log-seed1.txt"] == 0
 
-    def test_a_full_disk_ends_the_campaign(self, monkeypatch, capsys):
-        assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", "disk") == 1
+    @pytest.mark.parametrize("error", ["ENOSPC", "EDQUOT"])
+    def test_a_full_disk_ends_the_campaign(self, monkeypatch, capsys, error):
+        assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", error) == 1
         said = capsys.readouterr().out
         assert said.startswith("The disk is full") and said.count("failed:") == 1
 
@@ -844,7 +846,7 @@ class TestSearch:
         curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
         rows = [
             {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
-            | {"return_mean": float(value)}
+            | {"return_mean": float(value), "total_timesteps": 40}
             for name, seeds in curves.items()
             for seed, values in enumerate(seeds)
             for point, value in enumerate(values)
@@ -858,6 +860,23 @@ class TestSearch:
         said = search.search_report(Path("results"))
         assert "2 runs of 20 timesteps (the paper: 40). The winner: the only variant." in said
         assert "The paper's choice is not among them. The search is not complete" in said
+
+    def test_budgets_do_not_compare(self, monkeypatch):
+        for rate, steps in ((0.25, 20), (1.0, 20), (1.0, 60)):
+            flags = ["--", "--learning-rate", rate, "--total-timesteps", steps]
+            assert campaign(monkeypatch, "--seeds", 1, *flags) == 0
+        said = search.search_report(Path("results"))
+        assert "2 variants, 2 runs of 20 timesteps (the paper: 40). The winner: learning_rate 1.0." in said
+        assert "1 variants, 1 runs of 60 timesteps (the paper: 40). The winner: the only variant." in said
+
+    def test_a_flag_that_only_later_scripts_have(self, monkeypatch):
+        for rate in (0.25, 1.0):
+            assert campaign(monkeypatch, "--seeds", 1, "--", "--learning-rate", rate) == 0
+        older = Path("results/matrix-climbing/ia2c-shared-learning-rate=0.25.json")
+        settings = json.loads(older.read_text())
+        del settings["flags"]["pace"]
+        older.write_text(json.dumps(settings))
+        assert "| 1 | 1.0 | 1 | 40.00 | 20.00 |" in search.search_report(Path("results"))
 
     def test_nothing_was_searched(self):
         with pytest.raises(ValueError, match="no results in nowhere"):
