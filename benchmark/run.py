@@ -372,7 +372,8 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
             hours += needed
             name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
             print(f"{name}: {rate:,.0f} steps/s, {needed:.2f} core hours", flush=True)
-    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {clock(hours * 3600 / min(jobs, left))} (h:min:s).")
+    wait = clock(hours * 3600 / min(jobs, left))
+    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {wait} (h:min:s).")
     return code
 
 
