@@ -13,6 +13,7 @@ import hashlib
 import io
 import json
 import logging
+import math
 import os
 import shutil
 import signal
@@ -22,7 +23,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,8 +40,10 @@ from plan import Run, log_path
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
-LARGEST_REPLAY = 2**30  # bytes; a run with a larger one begins anew where its node is lost
+LARGEST_REPLAY = 2**30  # bytes; a larger one comes back only when a run is stopped, and is lost with a node
+PIECE = 2**26  # bytes of a file that travel at once; Ray moves pieces to its disk where they are too many
 STAYS = {"lock", "progress.json"}  # files that do not travel with the others
+Files = dict[str, list[Any]]  # by name, the references that Ray gives for the pieces of each
 LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: a checkpoint refers to the others
 
 
@@ -63,39 +66,51 @@ def unpack(code: bytes) -> Path:
     return folder
 
 
-def read_files(directory: Path) -> dict[str, bytes]:
-    """All that a run needs to go on elsewhere; nothing where it has no checkpoint, or makes one at this moment.
+def pieces(path: Path) -> Iterator[bytes]:
+    """A file's bytes."""
+    with open(path, "rb") as file:
+        while piece := file.read(PIECE):
+            yield piece
+
+
+def read_files(directory: Path, largest_replay: float = math.inf) -> Files:
+    """All that a run needs to go on elsewhere; nothing where it has no checkpoint, or makes one at this moment, or has
+    a larger replay than wanted.
 
     What a checkpoint refers to in the replay stays as it is until the next checkpoint is there.
     """
     last = directory / "checkpoint.pt"
     replay = directory / "replay.bin"
-    if not last.exists() or (replay.exists() and replay.stat().st_size > LARGEST_REPLAY):
+    if not last.exists() or (replay.exists() and replay.stat().st_size > largest_replay):
         return {}
     try:
         before = last.stat()
         paths = [path for path in directory.iterdir() if path.is_file() and path.name not in STAYS]
-        files = {path.name: path.read_bytes() for path in paths}
+        files = {path.name: [ray.put(piece) for piece in pieces(path)] for path in paths}
         after = last.stat()
     except FileNotFoundError:  # a file took another's place
         return {}
     return files if (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns) else {}
 
 
-def write_files(directory: Path, files: dict[str, bytes]) -> None:
+def write_files(directory: Path, files: Files) -> None:
     """Files that have arrived take the place of those that are there, the checkpoints last: where this is cut short,
-    the directory has none, and is known as damaged. OSError on a full disk, which leaves all as it was."""
+    the directory has none, and is known as damaged. A replay without a new one belongs to older checkpoints, and goes.
+    OSError on a full disk, RayError where pieces were lost with their node; both leave all as it was."""
     directory.mkdir(parents=True, exist_ok=True)
     arrived = {name: directory / f"{name}.new" for name in files}
     try:
         for name, place in arrived.items():
-            place.write_bytes(files[name])
-    except OSError:
+            with open(place, "wb") as file:
+                file.writelines(ray.get(piece) for piece in files[name])
+    except (OSError, ray.exceptions.RayError):
         for place in arrived.values():
             place.unlink(missing_ok=True)
         raise
     for path in directory.glob("checkpoint*.pt"):
         path.unlink()
+    if "replay.bin" not in files:
+        (directory / "replay.bin").unlink(missing_ok=True)
     for name in sorted(files, key=lambda name: LAST.index(name) if name in LAST else -1):
         arrived[name].replace(directory / name)
 
@@ -103,7 +118,7 @@ def write_files(directory: Path, files: dict[str, bytes]) -> None:
 class Trainer:
     """A run on a node: a process, and a directory that is gone when it has ended."""
 
-    def __init__(self, code: bytes, fast: bool, algorithm: str, arguments: list[str], files: dict[str, bytes]):
+    def __init__(self, code: bytes, fast: bool, algorithm: str, arguments: list[str], files: Files):
         self.folder = Path(tempfile.mkdtemp(prefix="marl-baselines-run-"))
         self.directory, self.log = self.folder / "run", self.folder / "log.txt"
         self.sent = 0  # when the last checkpoint that was sent was made
@@ -139,7 +154,7 @@ class Trainer:
             shutil.rmtree(self.folder, ignore_errors=True)
         elif checkpoint and (self.directory / "checkpoint.pt").exists():
             made = (self.directory / "checkpoint.pt").stat().st_mtime_ns
-            if made != self.sent and (files := read_files(self.directory)):
+            if made != self.sent and (files := read_files(self.directory, LARGEST_REPLAY)):
                 self.sent, seen["files"] = made, files
         return seen
 
@@ -180,17 +195,18 @@ class RayJob:
             return None
         try:
             seen = ray.get(self.seen)
-        except ray.exceptions.RayTaskError as error:  # the node's disk is full, for one
-            return self.end(1, str(error.cause).encode())
-        except ray.exceptions.RayError:
-            self.lost = True
-            return self.end(1)
-        self.began = True
-        try:
+            self.began = True
             if seen["files"]:
                 write_files(self.run.directory, self.with_commit(seen["files"]))
             if seen["progress"]:
                 (self.run.directory / "progress.json").write_bytes(seen["progress"])
+        except ray.exceptions.RayTaskError as error:  # the node's disk is full, for one
+            return self.end(1, str(error.cause).encode())
+        except ray.exceptions.RayError as error:
+            if isinstance(error, ray.exceptions.ActorDiedError) and error.actor_init_failed:
+                return self.end(1, str(error).encode())  # the same before the run could begin
+            self.lost = True
+            return self.end(1)
         except OSError:
             self.end(1)
             raise
@@ -202,12 +218,12 @@ class RayJob:
         self.seen = self.trainer.look.remote(checkpoint)
         return None
 
-    def with_commit(self, files: dict[str, bytes]) -> dict[str, bytes]:
+    def with_commit(self, files: Files) -> Files:
         """The files of a run, its config.json naming the commit that was sent: a node has no checkout to ask."""
         if "config.json" not in files:
             return files
-        config = json.loads(files["config.json"]) | {"commit": self.commit}
-        return files | {"config.json": json.dumps(config, indent=2).encode()}
+        config = json.loads(b"".join(map(ray.get, files["config.json"]))) | {"commit": self.commit}
+        return files | {"config.json": [ray.put(json.dumps(config, indent=2).encode())]}
 
     def end(self, code: int, log: bytes = b"") -> int:
         """Frees the core and the directory."""
@@ -240,7 +256,7 @@ def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run],
         if host:  # Ray itself would try for five minutes
             socket.create_connection((host, int(port)), timeout=10).close()
         ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: another version of Ray or Python
         raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     ray.cloudpickle.register_pickle_by_value(fast_mkl)

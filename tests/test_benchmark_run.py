@@ -749,23 +749,31 @@ class TestRay:
         folder.cleanup()
 
     def test_a_stop_and_a_lost_node(self, monkeypatch, capsys, nodes, ray):
-        """A signal stops a run, which comes back. Then there are two on two nodes, one of which is killed: its run goes
-        on elsewhere, from the checkpoint that came."""
+        """A signal stops a run, which comes back, is sent there again, and comes back once more, each time with its
+        replay, however large that is. Then there are two runs on two nodes, one of which is killed: its run goes on
+        elsewhere, from the checkpoint that came."""
         import cluster
 
         machines, second = nodes
         monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
         monkeypatch.setattr(cluster, "CHECKPOINT_SECONDS", 0.0)
-        words = ["--ray", machines.address, "--seeds", 1, "--", "--pace", "0.05"]
-        stopped = folder_of(0, "ia2c-shared-pace=0.05")
-        stopper, logs = threading.Thread(target=signal_when, args=(stopped / "checkpoint.pt",)), keep_logs(monkeypatch)
-        stopper.start()
-        assert campaign(monkeypatch, *words) == 128 + signal.SIGTERM
-        stopper.join()
-        assert plan.is_whole(stopped / "checkpoint.pt") and not run.in_use(stopped)
-        ray.shutdown()
+        words = ["--ray", machines.address, "--algorithms", "iql", "--seeds", 1, "--", "--pace", "0.1"]
+        stopped = folder_of(0, "iql-shared-pace=0.1")
+        logs, began = keep_logs(monkeypatch), []
+        with monkeypatch.context() as large:
+            large.setattr(cluster, "LARGEST_REPLAY", -1)
+            for _ in range(2):
+                stopper = threading.Thread(target=signal_when, args=(stopped / "progress.json",))
+                stopper.start()
+                assert campaign(monkeypatch, *words) == 128 + signal.SIGTERM
+                stopper.join()
+                began.append(int(logs["log-seed0.txt"].split()[2]))
+                assert plan.is_whole(stopped / "checkpoint.pt") and not run.in_use(stopped)
+                ray.shutdown()
         assert campaign(monkeypatch, *words[2:]) == 0  # it goes on without the cluster
-        assert int(logs["log-seed0.txt"].split()[2]) > 0 and seeds_of("ia2c-shared-pace=0.05") == {0: 20.0}
+        began.append(int(logs["log-seed0.txt"].split()[2]))
+        assert 0 == began[0] < began[1] < began[2] and seeds_of("iql-shared-pace=0.1") == {0: 20.0}
+        assert not (stopped / "replay.bin").exists()
 
         directories = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
 
@@ -788,28 +796,56 @@ class TestRay:
         assert config["commit"] == cluster.commit_here()
         assert not (directories[0] / "progress.json").exists() and not run.in_use(directories[0])
 
-    def test_files_take_the_place_of_others(self, tmp_path):
+    @pytest.fixture
+    def no_cluster(self, monkeypatch, ray):
+        """Pieces of files that travel nowhere, three bytes each."""
+        import cluster
+
+        here = SimpleNamespace(put=bytes, get=bytes, exceptions=ray.exceptions)
+        monkeypatch.setattr(cluster, "ray", here)
+        monkeypatch.setattr(cluster, "PIECE", 3)
+        return here
+
+    def test_files_take_the_place_of_others(self, tmp_path, no_cluster, ray):
         import cluster
 
         directory = tmp_path / "run"
         (directory / "wandb").mkdir(parents=True)
         for name in ("checkpoint.previous.pt", "checkpoint.pt", "config.json", "lock"):
             (directory / name).write_text("old")
-        cluster.write_files(directory, {"checkpoint.pt": b"new", "replay.bin": b"new"})
-        kept = {"checkpoint.pt": b"new", "replay.bin": b"new", "config.json": b"old"}
+        cluster.write_files(directory, {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"]})
+        kept = {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"], "config.json": [b"old"]}
         assert cluster.read_files(directory) == kept and (directory / "lock").read_text() == "old"
 
-    def test_a_checkpoint_without_its_replay_stays(self, tmp_path, monkeypatch):
+        def get(piece):
+            if piece == b"lost":
+                raise ray.exceptions.OwnerDiedError("", None, "")
+            return piece
+
+        no_cluster.get = get
+        with pytest.raises(ray.exceptions.RayError):
+            cluster.write_files(directory, {"checkpoint.pt": [b"new", b"lost"]})
+        assert cluster.read_files(directory) == kept and not list(directory.glob("*.new"))
+        cluster.write_files(directory, {"checkpoint.pt": [b"end"]})  # a complete run has no replay any more
+        assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], "config.json": [b"old"]}
+
+    def test_a_checkpoint_without_its_replay_stays(self, tmp_path, no_cluster):
         import cluster
 
         directory = tmp_path / "run"
         directory.mkdir()
         (directory / "checkpoint.pt").write_text("whole")
         (directory / "replay.bin").write_text("much too large")
-        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 5)
-        assert cluster.read_files(directory) == {}
-        monkeypatch.setattr(cluster, "LARGEST_REPLAY", 100)
-        assert sorted(cluster.read_files(directory)) == ["checkpoint.pt", "replay.bin"]
+        assert cluster.read_files(directory, 5) == {}
+        assert sorted(cluster.read_files(directory, 100)) == ["checkpoint.pt", "replay.bin"]
+
+    def test_a_run_that_cannot_begin_says_why(self, monkeypatch, capsys, nodes):
+        """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
+        import cluster
+
+        monkeypatch.setattr(cluster, "pack", lambda: b"this is no zip file")
+        assert campaign(monkeypatch, "--ray", nodes[0].address, "--seeds", 1) == 1
+        assert "BadZipFile: File is not a zip file" in capsys.readouterr().out
 
     # Not "auto": it would find the cluster of another test that runs at the same time.
     @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
