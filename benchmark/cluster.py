@@ -43,7 +43,7 @@ CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
 LARGEST_REPLAY = 2**30  # bytes; a larger one comes back only when a run is stopped, and is lost with a node
 PIECE = 2**26  # bytes of a file that travel at once; Ray moves pieces to its disk where they are too many
 STAYS = {"lock", "progress.json"}  # files that do not travel with the others
-Files = dict[str, list[Any]]  # by name, the references that Ray gives for the pieces of each
+Files = dict[str, list[ray.ObjectRef[bytes]]]  # by name, the pieces of each, which Ray keeps somewhere
 LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: a checkpoint refers to the others
 
 

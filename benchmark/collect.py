@@ -52,11 +52,10 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
     Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
     """
     seed = str(config["flags"]["seed"])
-    if set(settings["seeds"]) <= {seed}:  # nothing else has to fit
-        settings.pop("flags", None)
+    alone = set(settings["seeds"]) <= {seed}  # there is nothing else that it has to fit to
     known, flags = (
         {name: value for name, value in some.items() if name not in runs.OF_ONE_RUN}
-        for some in (settings.get("flags", {}), config["flags"])
+        for some in ({} if alone else settings["flags"], config["flags"])
     )
     different = sorted(name for name in known.keys() & flags.keys() if known[name] != flags[name])
     if settings.get("changed", config["changed"]) != config["changed"]:

@@ -2,6 +2,7 @@
 
 An algorithm has the same colour and line everywhere. The colours are Paul Tol's "muted" scheme, made to be told apart
 by the colour-blind; the lines help where colours do not: value-based methods are dashed, MADDPG and COMA dotted.
+Algorithms that the paper does not have, such as your own, are black.
 """
 
 import io
@@ -24,7 +25,7 @@ from matplotlib.patches import Patch
 from PIL import Image, PngImagePlugin
 
 import aggregate
-from results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, interval
+from results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order, interval
 from tables import in_order
 
 COLOURS = {
@@ -41,6 +42,7 @@ COLOURS = {
 LINES: dict[str, Any] = {name: (0, (5, 2)) for name in ("iql", "vdn", "qmix")} | {
     name: (0, (1.5, 1)) for name in ("maddpg", "coma")
 }
+OTHER_COLOUR = "black"
 SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
 DOTS_PER_INCH = 110
 PNG_COLOURS = 64
@@ -103,9 +105,8 @@ def panels(number: int, columns: int, x: str, y: str, share_y: bool = False) -> 
 
 def legend(figure: Figure, algorithms: Any) -> None:
     """One legend below all panels."""
-    drawn = set(algorithms)
-    present = [name for name in ALGORITHMS if name in drawn]
-    handles = [Line2D([], [], color=COLOURS[name], linestyle=LINES.get(name, "-"), lw=2) for name in present]
+    present = algorithm_order(algorithms)
+    handles = [Line2D([], [], **style(name), lw=2) for name in present]
     figure.legend(
         handles,
         [name.upper() for name in present],
@@ -117,10 +118,15 @@ def legend(figure: Figure, algorithms: Any) -> None:
     )
 
 
+def style(algorithm: str) -> dict[str, Any]:
+    """Colour and line of an algorithm."""
+    return {"color": COLOURS.get(algorithm, OTHER_COLOUR), "linestyle": LINES.get(algorithm, "-")}
+
+
 def curve(axes: Axes, algorithm: str, x: Any, mean: Any, spread: Any) -> None:
     """One algorithm's line with its interval as a band."""
-    axes.plot(x, mean, color=COLOURS[algorithm], linestyle=LINES.get(algorithm, "-"), lw=1.3)
-    axes.fill_between(x, mean - spread, mean + spread, color=COLOURS[algorithm], alpha=0.2, lw=0)
+    axes.plot(x, mean, **style(algorithm), lw=1.3)
+    axes.fill_between(x, mean - spread, mean + spread, color=style(algorithm)["color"], alpha=0.2, lw=0)
 
 
 def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -138,9 +144,8 @@ def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataF
     curves = points[["x", "mean"]].mean()
     known = points["square"].count() == points.size()
     curves["interval"] = (np.sqrt(points["square"].sum()) / points.size()).where(known)
-    for algorithm in ALGORITHMS:
-        if algorithm in curves.index:
-            yield algorithm, curves.loc[algorithm]
+    for algorithm in algorithm_order(rows["algorithm"]):
+        yield algorithm, curves.loc[algorithm]
 
 
 def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Figure:
@@ -207,18 +212,19 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
 def cpu_hours(hours: pd.DataFrame) -> Figure:
     """Mean CPU hours of a run by family, algorithm and sharing; hours from `aggregate.cpu_hours`."""
     families = [family for family in FAMILIES if family in hours.index.get_level_values("family")]
+    algorithms = algorithm_order([*ALGORITHMS, *hours.index.get_level_values("algorithm")])
     figure, axes = panels(len(families), 3, "", "CPU hours a run", share_y=True)
     for family, panel in zip(families, axes):
         rows = hours.loc[family]
-        for place, algorithm in enumerate(ALGORITHMS):
+        for place, algorithm in enumerate(algorithms):
             for sharing, shift, alpha in ((True, -0.2, 1.0), (False, 0.2, 0.45)):
                 if (algorithm, sharing) in rows.index:
                     mean = rows.loc[(algorithm, sharing), "mean"]
-                    panel.bar(place + shift, mean, 0.38, color=COLOURS[algorithm], alpha=alpha)
+                    panel.bar(place + shift, mean, 0.38, color=style(algorithm)["color"], alpha=alpha)
         panel.axhline(PAPER_CPU_HOURS / PAPER_RUNS, color="black", lw=1, linestyle="--")
         panel.set_yscale("log")
         panel.yaxis.set_major_formatter("{x:g}")
-        panel.set_xticks(range(len(ALGORITHMS)), [name.upper() for name in ALGORITHMS], rotation=60)
+        panel.set_xticks(range(len(algorithms)), [name.upper() for name in algorithms], rotation=60)
         panel.set_title(FAMILIES[family])
     figure.suptitle("CPU hours of one training run")
     handles: list[Artist] = [Patch(color="black", label=SHARING[True])]
@@ -264,12 +270,11 @@ def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
     measure = aggregate.performance_profile(thresholds)
     for family, panel in zip(families, axes):
         scores = aggregate.final_scores(chosen[chosen["family"] == family])
-        for algorithm in ALGORITHMS:
-            if (algorithm, sharing) in scores:
-                tasks = list(scores[algorithm, sharing].values())
-                share, low, high = aggregate.with_interval(measure, tasks)
-                panel.step(thresholds, share, color=COLOURS[algorithm], linestyle=LINES.get(algorithm, "-"), lw=1.3)
-                panel.fill_between(thresholds, low, high, color=COLOURS[algorithm], alpha=0.15, lw=0, step="pre")
+        for algorithm in algorithm_order(name for name, _ in scores):
+            look = style(algorithm)
+            share, low, high = aggregate.with_interval(measure, list(scores[algorithm, sharing].values()))
+            panel.step(thresholds, share, **look, lw=1.3)
+            panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")
         panel.set_title(FAMILIES[family])
     figure.suptitle(f"Runs above a normalised return at the last evaluation, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])

@@ -35,7 +35,6 @@ import tables
 from envs import runs
 from envs.runs import one_sentence
 from results import (
-    ALGORITHMS,
     FAMILIES,
     HERE,
     KEY,
@@ -43,6 +42,7 @@ from results import (
     PAPER_RUNS,
     PAPER_SETTING,
     RESULTS,
+    algorithm_order,
     in_tables,
     load,
     our_cells,
@@ -130,7 +130,7 @@ class Report:
         families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
         scores = {name: aggregate.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
         body = []
-        for algorithm in ALGORITHMS:
+        for algorithm in algorithm_order(self.normalised["algorithm"]):
             cells = []
             for name in families:
                 tasks = list(scores[name].get((algorithm, sharing), {}).values())
@@ -143,7 +143,7 @@ class Report:
     def improvements(self, sharing: bool) -> str:
         """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
         scores = aggregate.final_scores(self.normalised)
-        present = [name for name in ALGORITHMS if (name, sharing) in scores]
+        present = algorithm_order(name for name, with_sharing in scores if with_sharing == sharing)
         body = []
         for name in present:
             cells = []
@@ -162,7 +162,7 @@ class Report:
         """Mean CPU hours of a run by algorithm and family."""
         families = [name for name in FAMILIES if name in self.hours.index.get_level_values("family")]
         body = []
-        for algorithm in ALGORITHMS:
+        for algorithm in algorithm_order(self.hours.index.get_level_values("algorithm")):
             for sharing in (True, False):
                 keys = [(name, algorithm, sharing) for name in families]
                 rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]

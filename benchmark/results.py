@@ -17,6 +17,7 @@ import io
 import itertools
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,12 @@ LONGEST_NAME = 200  # file systems stop at 255
 def family(task: str) -> str:
     """The paper's family of a task, which is how its name begins; "other" where the paper has none like it."""
     return next((name for name in PAPER_FAMILIES if task.startswith(name)), "other")
+
+
+def algorithm_order(algorithms: Iterable[str]) -> list[str]:
+    """Algorithms in the order of the paper's tables; those that it does not have, such as your own, behind, by name."""
+    there = set(algorithms)
+    return [name for name in ALGORITHMS if name in there] + sorted(there.difference(ALGORITHMS))
 
 
 def paper_task(task: str) -> str:

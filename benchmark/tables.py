@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
-from results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, family, summarise
+from results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family, summarise
 
 SIGNIFICANCE = 0.05
 PRECISION = 0.01  # of what the paper prints
@@ -152,21 +152,27 @@ def in_order(tasks: Any) -> list[str]:
     return sorted(set(tasks), key=lambda task: (order.index(family(task)), natural(task)))
 
 
-def rows(cells: pd.DataFrame, *texts: Callable[[Any], str]) -> dict[str, list[list[str]]]:
-    """For each task in order, for each of the texts, the nine algorithms' cells; an empty text where one is missing."""
+def columns(both: pd.DataFrame) -> list[str]:
+    """The algorithms that the tables have columns for: the paper's nine, and those that only we have results of."""
+    return algorithm_order([*ALGORITHMS, *both["algorithm"]])
+
+
+def rows(cells: pd.DataFrame, algorithms: list[str], *texts: Callable[[Any], str]) -> dict[str, list[list[str]]]:
+    """For each task in order, for each of the texts, the algorithms' cells; an empty text where one is missing."""
     known = {(cell.task, cell.algorithm): cell for cell in cells.rename(columns={"mean": "value"}).itertuples()}
     found = {}
     for task in in_order(cells["task"]):
-        row = [known.get((task, algorithm)) for algorithm in ALGORITHMS]
+        row = [known.get((task, algorithm)) for algorithm in algorithms]
         found[task] = [["" if cell is None else text(cell) for cell in row] for text in texts]
     return found
 
 
 def lines(both: pd.DataFrame, metric: str, sharing: bool) -> list[list[str]]:
-    """A table's lines: task, whose, nine cells in Markdown. Three a task: ours, the paper's, the difference."""
+    """A table's lines: task, whose, a cell in Markdown for each of `columns`. Three a task: ours, the paper's, the
+    difference."""
     chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
     found = []
-    for task, (ours, paper, differences) in rows(chosen, our_text, paper_text, difference_text).items():
+    for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
         found.append([task, "ours", *ours])
         if set(paper) - {"", "-"}:
             found += [["", "paper", *paper], ["", "difference", *differences]]
@@ -181,7 +187,7 @@ def to_markdown(header: list[str], body: list[list[str]]) -> str:
 def markdown(both: pd.DataFrame, metric: str, sharing: bool) -> str:
     """One of the paper's tables in Markdown; nothing where we have no result for it."""
     body = lines(both, metric, sharing)
-    return to_markdown(["task", "", *map(str.upper, ALGORITHMS)], body) if body else ""
+    return to_markdown(["task", "", *map(str.upper, columns(both))], body) if body else ""
 
 
 def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
@@ -189,8 +195,9 @@ def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
     body = lines(both, metric, sharing)
     if not body:
         return ""
-    made = [r"\begin{tabular}{ll" + "r" * len(ALGORITHMS) + "}", r"\toprule"]
-    made.append(" & ".join(["task", "", *map(str.upper, ALGORITHMS)]) + r" \\")
+    header = ["task", "", *map(str.upper, columns(both))]
+    made = [r"\begin{tabular}{ll" + "r" * len(columns(both)) + "}", r"\toprule"]
+    made.append(" & ".join(header).replace("_", LATEX_SIGNS["_"]) + r" \\")
     for line in body:
         if line[0]:
             made.append(r"\midrule")
@@ -203,8 +210,8 @@ def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
 def short(both: pd.DataFrame) -> str:
     """Maximum returns with sharing and the paper's budget, one line a task."""
     chosen = both[(both["metric"] == "max_return") & both["sharing"] & ~both["other_budget"]]
-    body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, short_text).items()]
-    return to_markdown(["task", *map(str.upper, ALGORITHMS)], body)
+    body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, columns(both), short_text).items()]
+    return to_markdown(["task", *map(str.upper, columns(both))], body)
 
 
 def variants(evaluations: pd.DataFrame, ours: pd.DataFrame) -> str:

@@ -727,6 +727,25 @@ def test_many_results_are_reported_soon(monkeypatch, tmp_path):
     assert json.loads((tmp_path / "m.json").read_text()).keys() <= results.FAMILIES.keys()
 
 
+def test_an_algorithm_of_your_own_is_reported_beside_the_papers(monkeypatch, tmp_path):
+    make_results(tmp_path / "results", ["matrix-climbing"])
+    for sharing in ("shared", "independent"):
+        best = pd.read_csv(tmp_path / "results" / "matrix-climbing" / f"mappo-{sharing}.csv")
+        own = tmp_path / "results" / "matrix-climbing" / f"my_mappo-{sharing}.csv"
+        best.assign(return_mean=2 * best["return_mean"] + 1).to_csv(own, index=False)
+        settings = json.loads(own.with_name(f"mappo-{sharing}.json").read_text())
+        own.with_suffix(".json").write_text(json.dumps(settings | {"algorithm": "my_mappo"}))
+    write_report(monkeypatch, tmp_path)
+    lines = (tmp_path / "out" / "README.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index("#### Maximum returns, with parameter sharing")
+    assert lines[start + 2].endswith("| QMIX | MY_MAPPO |") and lines[start + 4].count("**") == 2
+    assert lines[start + 4].split(" | ")[-1].startswith("**") and lines[start + 6].endswith("| - |")
+    assert sum(line.startswith("| MY_MAPPO") for line in lines) == 6  # two tables of each sharing, two CPU lines
+    assert r"QMIX & MY\_MAPPO \\" in (tmp_path / "out" / "latex" / "max-return-shared.tex").read_text()
+    drawn = (tmp_path / "out" / "figures" / "curves-matrix-shared.svg").read_text()
+    assert "MY_MAPPO" in drawn and "stroke: #000000" in drawn
+
+
 def test_a_single_run_of_a_foreign_task_is_reported(monkeypatch, tmp_path):
     directory = make_run(tmp_path / "run", env="gymnasium:Some-v1", changed={"total_timesteps": 1000, "network": "gru"})
     collect.collect_run(directory, tmp_path / "results")

@@ -813,7 +813,10 @@ class TestRay:
         (directory / "wandb").mkdir(parents=True)
         for name in ("checkpoint.previous.pt", "checkpoint.pt", "config.json", "lock"):
             (directory / name).write_text("old")
-        cluster.write_files(directory, {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"]})
+        new: Any = {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"]}
+        cut_off: Any = {"checkpoint.pt": [b"new", b"lost"]}
+        complete: Any = {"checkpoint.pt": [b"end"]}
+        cluster.write_files(directory, new)
         kept = {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"], "config.json": [b"old"]}
         assert cluster.read_files(directory) == kept and (directory / "lock").read_text() == "old"
 
@@ -824,9 +827,9 @@ class TestRay:
 
         no_cluster.get = get
         with pytest.raises(ray.exceptions.RayError):
-            cluster.write_files(directory, {"checkpoint.pt": [b"new", b"lost"]})
+            cluster.write_files(directory, cut_off)
         assert cluster.read_files(directory) == kept and not list(directory.glob("*.new"))
-        cluster.write_files(directory, {"checkpoint.pt": [b"end"]})  # a complete run has no replay any more
+        cluster.write_files(directory, complete)  # which has no replay any more
         assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], "config.json": [b"old"]}
 
     def test_a_checkpoint_without_its_replay_stays(self, tmp_path, no_cluster):
