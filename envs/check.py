@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.vector import VectorEnv
+from envs.vector import INFO_ARRAYS, VectorEnv
 
 Make = Callable[[int, int, bool], VectorEnv]  # of num_envs, seed and copy
 Step = tuple[Any, ...]  # observations, rewards, terminated, truncated, info
 
 EPISODES = 3
-ENTRIES = ("agent_rewards", "state", "action_mask")  # of the info, besides the statistics
 
 
 def problems(make: Make) -> list[str]:
@@ -59,7 +58,7 @@ def play(env: VectorEnv, episode: int) -> list[Step]:
 
 def differ(step: Step, other: Step, index: int) -> bool:
     """Whether a sub-environment differs in any bit."""
-    values, others = ([*each[:4], *(each[4][name] for name in ENTRIES)] for each in (step, other))
+    values, others = ([*each[:4], *(each[4][name] for name in INFO_ARRAYS)] for each in (step, other))
     return any(not np.array_equal(x[index], y[index]) for x, y in zip(values, others))
 
 
@@ -80,11 +79,11 @@ def arrays(make: Make) -> Iterator[str]:
         yield f"env.teams must number the team of each of the {n_agents} agents, from 0 on; it is {env.teams}."
     for step in (step for episode in range(EPISODES) for step in play(env, episode)):
         info = step[4]
-        missing = {*ENTRIES, "statistics"} - info.keys()
+        missing = {*INFO_ARRAYS, "statistics"} - info.keys()
         if missing:
             yield f"The info lacks {', '.join(sorted(missing))}."
             return
-        found = dict(zip(expected, (*step[:4], *(info[name] for name in ENTRIES))))
+        found = dict(zip(expected, (*step[:4], *(info[name] for name in INFO_ARRAYS))))
         for name, (shape, kind) in expected.items():
             if found[name].shape != shape or found[name].dtype != kind:
                 has = f"{found[name].dtype} {found[name].shape}"
@@ -126,26 +125,26 @@ def refusals(make: Make) -> Iterator[str]:
     """Actions that do not exist or are forbidden."""
     env = make(2, 0, True)
     last = env.n_agents - 1
-    for step in play(env, 0)[:1]:
-        mask = step[4]["action_mask"]
-        wrong = {"an action that does not exist": (1, last, env.n_actions), "an action below 0": (0, 0, -1)}
-        if not mask.all():
-            wrong["an action that the mask forbids"] = tuple(np.argwhere(~mask)[0].tolist())
-        for kind, (index, agent, action) in wrong.items():
-            observations, info = env.reset()
-            rng = np.random.default_rng(0)
-            actions = np.stack([allowed_actions(each, rng) for each in info["action_mask"]])
-            actions[index, agent] = action
-            try:
-                env.step(actions)
-            except ValueError as error:
-                if not all(str(number) in str(error) for number in (index, agent, action)):
-                    yield f"The error for {kind} must name sub-environment, agent and action; it says: {error}"
-            else:
-                yield f"A step with {kind} must raise ValueError."
-                continue
-            if not np.array_equal(env.observations, observations):
-                yield f"A step with {kind} changes the environment before it raises ValueError."
+    wrong = {"an action that does not exist": (1, last, env.n_actions), "an action below 0": (0, 0, -1)}
+    for kind in (*wrong, "an action that the mask forbids"):
+        observations, info = env.reset()
+        mask = info["action_mask"]
+        if kind not in wrong and mask.all():
+            continue
+        index, agent, action = wrong.get(kind) or np.argwhere(~mask)[0].tolist()
+        rng = np.random.default_rng(0)
+        actions = np.stack([allowed_actions(each, rng) for each in mask])
+        actions[index, agent] = action
+        try:
+            env.step(actions)
+        except ValueError as error:
+            if not all(str(number) in str(error) for number in (index, agent, action)):
+                yield f"The error for {kind} must name sub-environment, agent and action; it says: {error}"
+        else:
+            yield f"A step with {kind} must raise ValueError."
+            continue
+        if not np.array_equal(env.observations, observations):
+            yield f"A step with {kind} changes the environment before it raises ValueError."
 
 
 def randomness(make: Make) -> Iterator[str]:

@@ -15,7 +15,8 @@ What the contract in `envs.vector` asks for is made as follows:
     agent_rewards  as the environment gives them. Where it has one reward for all, each agent has that
     rewards        the sum of the agents' rewards, as in the paper, or the one reward for all. Where the environment
                    has an attribute `teams` (a number for each agent), the sum over team 0
-    state          what the environment's function `state` returns; otherwise the agents' observations
+    state          what the environment's function `state` returns, if that is a vector, or an image and
+                   `flatten_images` is given; otherwise the agents' observations
     terminated     the last agents have left, and the clock is not the reason
     truncated      the clock is the reason, for at least one of the last agents. The clock is the environment's own or
                    `max_episode_steps`, whichever is first
@@ -25,6 +26,8 @@ its steps itself, an end in the last of these steps is a truncation here.
 
 The seed of each episode's `reset` is derived from (seed, sub-environment, number of the episode). So the same seed
 plays the same episodes, and a resumed run goes on exactly, if the environment draws everything from that seed.
+
+Worker processes know the ids that Gymnasium has, and those that the module in <module>:<id> registers.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ import functools
 import importlib
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -115,9 +118,9 @@ class Game:
             raise InputError(f"{self.name} says nowhere how long an episode lasts; --max-episode-steps does.")
         self.clock_is_guessed = not source.max_episode_steps
         self.steps = 0
-        self.state_size: int | None = None
+        self.state_size = -1  # not known yet
         state = self.reset(0).state
-        self.state_size = None if state is None else len(state)
+        self.state_size = 0 if state is None else len(state)
 
     def build(self, source: Source, more: Mapping[str, Any]) -> Any:
         """The environment, with more keyword arguments than the user gave."""
@@ -213,24 +216,35 @@ class Game:
         return values
 
     def state(self) -> NDArray[np.float32] | None:
-        """What the environment calls its state, as a vector; None if it has none."""
+        """What the environment calls its state, as a vector; None if it has none, or an image that is not wanted."""
         found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
         function = next((each for each in found if callable(each)), None)
         try:
             said = None if function is None else function()
         except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
             said = None
-        if said is None:
-            return None
+        except Exception as error:
+            # A wrapper of PettingZoo calls what an environment within calls its state, though that is no function.
+            if not isinstance(error, TypeError) or "is not callable" not in str(error):
+                raise InputError(f"{self.name}: its function state fails: {in_words(error)}") from error
+            said = None
         try:
-            state = np.asarray(said, np.float32)
+            state = None if said is None else np.asarray(said, np.float32)
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: its state is not an array of numbers: {error}.") from error
-        if state.ndim > 1 and not self.flatten_images:
-            return None
-        if self.state_size not in (None, state.size):
-            raise InputError(f"{self.name}: its state has {state.size} values now, and had {self.state_size}.")
-        return state.ravel()
+        if state is not None and state.ndim > 1 and not self.flatten_images:
+            state = None
+        size = 0 if state is None else state.size
+        if self.state_size not in (-1, size):
+            raise InputError(f"{self.name}: its state has {size} values now, and had {self.state_size}.")
+        return None if state is None else state.ravel()
+
+    def number(self, reward: Any) -> float:
+        """A reward, which may be an array of one value. Raises InputError for anything else."""
+        try:
+            return float(np.asarray(reward, float).item())
+        except (TypeError, ValueError):
+            raise InputError(f"{self.name}: {reward!r} is no reward.") from None
 
     def sum_over_team(self, agent_rewards: list[float]) -> float:
         """The reward of team 0."""
@@ -262,11 +276,18 @@ def import_module(name: str, target: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{target}.".startswith(f"{error.name}."):
             raise InputError(f"{name} needs the module {error.name}, which is not installed.") from error
+    except ImportError as error:  # such as PettingZoo's words on what has moved to another package
+        raise InputError(f"{name}: {error}") from error
     parent, _, last = target.rpartition(".")
     retired = getattr(sys.modules.get(parent), last, None)  # what PettingZoo has in the place of its old versions
     if retired is None:
         raise InputError(f"{name}: there is no module {target}, neither installed nor in the current folder.")
     return retired
+
+
+def in_words(error: Exception) -> str:
+    """An error's kind and text."""
+    return f"{type(error).__name__}: {error}"
 
 
 def leaves(space: Any) -> list[Any]:
@@ -293,8 +314,14 @@ class ParallelGame(Game):
             env = make(**{**source.kwargs, **more})
         except (ImportError, TypeError) as error:  # a retired version or a missing package; a wrong keyword argument
             raise InputError(f"{source.name}: {error}.") from error
+        except Exception as error:
+            if not source.kwargs:
+                raise
+            raise InputError(f"{source.name} does not take {source.kwargs}: {in_words(error)}") from error
         if not hasattr(env, "metadata"):
             env.metadata = {}  # PettingZoo's own functions look into it
+        if not hasattr(env, "possible_agents"):
+            raise InputError(f"{source.name} has no possible_agents, which tell its agents before an episode begins.")
         self.agents = list(env.possible_agents)
         self.playing = set(self.agents)
         return env
@@ -327,7 +354,7 @@ class ParallelGame(Game):
         """See `Game`."""
         observations, infos = self.env.reset(seed=seed)
         self.steps = 0
-        self.playing = self.known(self.env.agents)
+        self.playing = self.known(self.env.agents, observations)
         seen = [observations.get(agent) if agent in self.playing else None for agent in self.agents]
         return self.outcome(seen, self.masks(infos), [0.0] * self.n_agents, 0.0, False, False)
 
@@ -343,26 +370,28 @@ class ParallelGame(Game):
         left = {agent for flags in (terminations, truncations) for agent in flags if flags[agent]}
         timed_out = any(truncations.get(agent) and not terminations.get(agent) for agent in self.playing)
         acted = self.playing
-        self.playing = self.known(self.env.agents) - left
+        self.playing = self.known(set(self.env.agents) - left, observations)
         ended = not self.playing
         if not ended and self.steps == self.clock:
             self.check_clock()
             ended = timed_out = True
         present = acted if ended else self.playing  # those who acted last see what it led to
         seen = [observations.get(agent) if agent in present else None for agent in self.agents]
-        own = [float(rewards.get(agent, 0)) for agent in self.agents]
+        own = [self.number(rewards.get(agent, 0)) for agent in self.agents]
         reward = self.sum_over_team(own)
         return self.outcome(seen, self.masks(infos), own, reward, ended and not timed_out, ended and timed_out)
 
-    def known(self, agents: list[Any]) -> set[Any]:
-        """The agents as a set. Raises InputError for one that `possible_agents` did not name."""
+    def known(self, agents: Iterable[Any], observations: Mapping[str, Any]) -> set[Any]:
+        """The agents as a set. Raises InputError for one that `possible_agents` did not name, or that sees nothing."""
         if unknown := set(agents) - set(self.agents):
             raise InputError(f"{self.name}: the agents {sorted(map(str, unknown))} are not among its possible_agents.")
+        if blind := set(agents) - set(observations):
+            raise InputError(f"{self.name}: the agents {sorted(map(str, blind))} play on without an observation.")
         return set(agents)
 
     def masks(self, infos: Mapping[str, Any]) -> list[Any]:
         """The agents' action masks in the infos, or None."""
-        return [infos.get(agent, {}).get("action_mask") for agent in self.agents]
+        return [(infos.get(agent) or {}).get("action_mask") for agent in self.agents]
 
 
 class TupleGame(Game):
@@ -375,6 +404,10 @@ class TupleGame(Game):
             return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
         except (gymnasium.error.Error, ImportError, TypeError) as error:
             raise InputError(f"{source.name}: {error}") from error
+        except Exception as error:
+            if not source.kwargs:
+                raise
+            raise InputError(f"{source.name} does not take {source.kwargs}: {in_words(error)}") from error
 
     def spaces(self) -> tuple[list[Any], list[Any]]:
         """See `Game`."""
@@ -425,7 +458,7 @@ class TupleGame(Game):
         if np.ndim(rewards) == 0:
             own, reward = [float(rewards)] * self.n_agents, float(rewards)
         else:
-            own = [float(value) for value in self.by_agent(rewards)]
+            own = [self.number(value) for value in self.by_agent(rewards)]
             reward = self.sum_over_team(own)
         return self.outcome(
             self.by_agent(observations), self.masks(info), own, reward, terminated and not truncated, truncated
@@ -501,7 +534,7 @@ class Env(vector.VectorEnv):
             n_agents=game.n_agents,
             n_actions=max(game.choices),
             obs_size=game.obs_size,
-            state_size=game.state_size,
+            state_size=game.state_size or None,
             episode_limit=game.clock,
             low=game.low,
             high=game.high,

@@ -568,10 +568,14 @@ class Stopwatch:
 
 
 class StopSignals:
-    """Notes Ctrl-C, SIGTERM and SIGHUP instead of dying at once, so that a run can save what it has."""
+    """Notes Ctrl-C, SIGTERM and SIGHUP instead of dying at once, so that a run can save what it has.
+
+    The third Ctrl-C ends it at once, since an environment may hang. Its last checkpoints stay as they are.
+    """
 
     def __init__(self) -> None:
         self.received: int | None = None
+        self.interrupts = 0
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             ignored = name == "SIGHUP" and number and signal.getsignal(number) is signal.SIG_IGN  # by `nohup`
@@ -580,6 +584,9 @@ class StopSignals:
 
     def _note(self, number: int, frame: Any) -> None:
         self.received = number
+        self.interrupts += number == signal.SIGINT
+        if self.interrupts > 2:
+            raise KeyboardInterrupt
 
     def exit(self, timestep: int) -> None:
         """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""

@@ -317,7 +317,7 @@ KNOWN_PACKAGES = {
     "matrixgames": "matrix-climbing",
     "lbforaging": "lbf-8x8-2p-2f-c",
     "rware": "rware-tiny-2p",
-    "mpe2?|simple_": "mpe-spread",
+    "mpe2?": "mpe-spread",
     "smac": "smaclite-3s5z-sc2",
 }
 STEPS = (20_000_000, 2_000_000, 41)  # budgets on and off policy, and evaluations, where the paper says nothing

@@ -52,6 +52,8 @@ from numpy.typing import NDArray
 from envs.tasks import InputError
 
 Info = dict[str, Any]
+RESULTS = ("observations", "rewards", "terminated", "truncated")
+INFO_ARRAYS = ("agent_rewards", "state", "action_mask")  # of the info, besides the statistics
 
 
 def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
@@ -161,6 +163,7 @@ class VectorEnv(GymnasiumVectorEnv):
         }
         self._info_keys = frozenset(self.info)
         self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
+        self._held = {name: getattr(self, name) for name in (*RESULTS, *INFO_ARRAYS)}
 
     def __setstate__(self, attributes: dict[str, Any]) -> None:
         """Build the views again: copy.deepcopy and pickle turn a view of an array into a separate array."""
@@ -279,9 +282,19 @@ class VectorEnv(GymnasiumVectorEnv):
         """Bring up to date which sub-environments play and which stand still."""
         flags = self.terminated.tobytes() + self.truncated.tobytes()
         if flags != self._flags:  # most steps end no episode, and comparing bytes is fast
+            self._check_arrays()
             self._flags = flags
             self._playing = ~(self.terminated | self.truncated)
             self._some_stand = not self._playing.all()
+
+    def _check_arrays(self) -> None:
+        """Raises InputError where a family has put another array in the place of one that callers hold."""
+        for name, array in self._held.items():
+            if getattr(self, name) is not array:
+                raise InputError(
+                    f"{self.name}: self.{name} is another array than at the start; write into that one, as in "
+                    f"self.{name}[:] = ..., since callers hold it."
+                )
 
     def _outcome(self) -> tuple[Any, Any, Any, Any, Info]:
         """The five results of a step: the arrays themselves, or copies of them that the caller may keep."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import Any
@@ -16,6 +18,8 @@ import numpy as np
 
 from envs.tasks import InputError
 
+STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
 
 def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> None:
     """A worker process: builds its games and calls their methods on request, until the connection ends.
@@ -23,8 +27,13 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
     A request is the name of a method and, for some of the games, the arguments. The answer is the list of results; or,
     before the process ends, an InputError, or the text of another error's traceback.
     """
+    if hasattr(os, "setsid"):  # what the terminal sends to all of a program is for the parent, which then ends this one
+        os.setsid()
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)  # forgets, too, what has come while the process began
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that the games are closed
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then closes the connection
     games = []
     try:
         for _ in range(n_games):
@@ -56,6 +65,20 @@ def hidden_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
+@contextlib.contextmanager
+def held_signals() -> Iterator[None]:
+    """A process that begins here is not stopped before `serve` has said what stops it. Windows has no such mask."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # the first process would begin it, and it lifts the mask
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class Games:
     """One game for each sub-environment. What they return does not depend on where they are played."""
 
@@ -77,7 +100,7 @@ class Games:
             self._place += [(worker, i) for i in range(len(block))]
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs, build, len(block)), daemon=True)
-            with hidden_main():
+            with hidden_main(), held_signals():
                 process.start()
             theirs.close()
             self._workers.append(process)

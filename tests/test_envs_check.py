@@ -163,6 +163,38 @@ class NoCopies(Meeting):
         return self._result
 
 
+class OtherArrays(Meeting):
+    """Makes a new array in each step, while callers hold the first one."""
+
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        refused = super().step_envs(actions, playing)
+        self.rewards: Any = np.array(self.rewards)
+        return refused
+
+
+class ChangingMask(Meeting):
+    """Nothing is wrong: what is forbidden depends on the episode."""
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, rng)
+        self.action_mask[e] = True
+        self.action_mask[e, :, 1] = rng.random() < 0.5
+
+
+def test_a_mask_that_depends_on_the_episode() -> None:
+    assert problems(ChangingMask) == []
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_other_arrays_are_named(copy: bool) -> None:
+    """Scripts do not copy: they would see a reward of 0 for ever, or an episode without an end."""
+    env = OtherArrays(2, 0, copy)
+    env.reset()
+    with pytest.raises(envs.InputError, match=r"self\.rewards is another array than at the start"):
+        for _ in range(env.episode_limit):
+            env.step(np.zeros((2, 2), int))
+
+
 CELLS = meeting_numpy.CELLS
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -115,6 +116,8 @@ def toys(tmp_path_factory: pytest.TempPathFactory) -> Any:
     (folder / "toy_turns.py").write_text("def env(): pass\n")
     (folder / "toy_nothing.py").write_text("")
     (folder / "toy_import.py").write_text("import a_package_that_nobody_has\n")
+    (folder / "toy_moved.py").write_text("raise ImportError('this has moved to another package')\n")
+    (folder / "toy_empty.py").write_text("class parallel_env: pass\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         yield
@@ -224,6 +227,27 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
         env.step([[0, 0, 0]] * 3)
 
 
+@pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no groups of processes")
+@pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_what_the_terminal_sends_does_not_reach_the_workers(number: str) -> None:
+    """As `timeout` does, or a terminal that is closed: at once, while the workers begin, and in the middle."""
+    play = f"""
+import os, signal, envs
+if __name__ == "__main__":
+    received = []
+    signal.signal(signal.{number}, lambda *_: received.append(1))
+    env = envs.make({FORAGING!r}, 4, env_workers=2)
+    os.killpg(0, signal.{number})
+    env.reset()
+    os.killpg(0, signal.{number})
+    env.step([[0, 0]] * 4)
+    env.close()
+    print(len(received))
+"""
+    done = subprocess.run([sys.executable, "-c", play], capture_output=True, text=True, start_new_session=True)
+    assert done.stdout == "2\n", done.stderr
+
+
 # ---------------------------------------------------------------------------------------------------------------------
 # What cannot work
 # ---------------------------------------------------------------------------------------------------------------------
@@ -244,6 +268,10 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='newcomer'"}, "'d'.* are not among its possible_agents"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='named teams'"}, "are not a number for each agent"),
         ("gymnasium:Tuples-v0", {"env_kwargs": "variant='teams from 1'"}, r"its teams \(1, 2\) are not a number"),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='wrong value'"}, "does not take .*: KeyError: 'wrong value'"),
+        ("gymnasium:FrozenLake-v1", {"env_kwargs": "map_name='9x9'"}, "does not take .*: KeyError: '9x9'"),
+        ("pettingzoo:toy_moved", {}, "toy_moved: this has moved to another package"),
+        ("pettingzoo:toy_empty", {}, "has no possible_agents"),
         ("pettingzoo:toy_queue", {"max_episode_steps": -1}, "it must be a whole number from 0 on"),
         ("pettingzoo:.toy_queue", {}, "is not the name of a module"),
         ("pettingzoo:toy_turns", {}, "agents that act in turn"),
@@ -277,14 +305,31 @@ def test_what_is_not_one_thing_for_each_agent(variant: str) -> None:
         env.step([[0, 0]])
 
 
-def test_a_state_that_changes_its_size() -> None:
-    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "growing state"})
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("growing state", "its state has 2 values now, and had 1"),
+        ("late state", "its state has 2 values now, and had 0"),  # it would overwrite the observations
+        ("state fails", "its function state fails: ValueError: need at least one array"),
+        ("blind", r"the agents \['b'\] play on without an observation"),
+        ("two rewards", r"\[1, 2\] is no reward"),
+    ],
+)
+def test_what_goes_wrong_in_a_step(kind: str, message: str) -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind})
     env.reset()
-    with pytest.raises(envs.InputError, match="its state has 2 values now, and had 1"):
+    with pytest.raises(envs.InputError, match=message):
         env.step([[0, 0, 0]])
 
 
-@pytest.mark.parametrize("kind", ["no state", "state is an array"])
+@pytest.mark.parametrize("kind", ["rewards in arrays", "no infos"])
+def test_what_others_return_otherwise(kind: str) -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind})
+    env.reset()
+    assert env.step([[0, 0, 0]])[4]["agent_rewards"].tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize("kind", ["no state", "state is an array", "state within"])
 def test_without_a_function_for_the_state(kind: str) -> None:
     assert envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind}).state_is_observations
 

@@ -121,15 +121,33 @@ class Odd(Queue):
             self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]  # but see above
         if kind == "state is an array":
             self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
+        if kind == "wrong value":
+            raise KeyError(kind)
 
     def state(self) -> Any:
-        return {"no state": None, "growing state": np.zeros(1 + self.steps)}.get(self.kind, np.zeros(2))
+        if self.kind == "state fails" and self.steps:
+            raise ValueError("need at least one array")
+        if self.kind == "state within":  # as PettingZoo's wrapper of an environment that keeps an array of this name
+            return np.zeros(2)()  # type: ignore[operator]
+        late = np.zeros(2) if self.steps else None
+        kinds = {"no state": None, "late state": late, "growing state": np.zeros(1 + self.steps)}
+        return kinds.get(self.kind, np.zeros(2))
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         seen, infos = super().reset()
         if self.kind == "newcomer":
             self.agents.append("d")
         return seen, infos
+
+    def step(self, actions: dict[str, int]) -> Any:
+        seen, rewards, *others, infos = super().step(actions)
+        if self.kind == "blind":
+            del seen["b"]
+        if self.kind == "rewards in arrays":
+            rewards = {agent: np.array([reward]) for agent, reward in rewards.items()}
+        if self.kind == "two rewards":
+            rewards["b"] = [1, 2]
+        return seen, rewards, *others, infos
 
     def seen(self) -> dict[str, Any]:
         seen = super().seen()
@@ -142,7 +160,8 @@ class Odd(Queue):
         return np.full((4, 4, 3), 0.5)
 
     def infos(self) -> dict[str, Any]:
-        return {"b": {"action_mask": [1]}} if self.kind == "short mask" else super().infos()
+        kinds: dict[str, Any] = {"short mask": {"b": {"action_mask": [1]}}, "no infos": dict.fromkeys(self.agents)}
+        return kinds.get(self.kind, super().infos())
 
     def observation_space(self, agent: str) -> Any:
         if self.kind == "wide":
