@@ -23,6 +23,7 @@ import math
 import os
 import platform
 import re
+import secrets
 import shutil
 import signal
 import subprocess
@@ -54,7 +55,7 @@ Flags = TypeVar("Flags")  # the Args of a script
 # These say nothing of the setting
 OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
-NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # a run may grow, and be looked at more often
+NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
 
 
 class Range(NamedTuple):
@@ -106,11 +107,9 @@ def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: l
     others = [word for word in argv if word not in ("-h", "--help")]
     default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
     if len(others) < len(argv):
-        try:
+        with contextlib.suppress(BrokenPipeError):
             show_help(args_class, default, doc or "")
-            sys.stdout.flush()
-        except BrokenPipeError:  # a reader such as `head` has seen enough
-            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (Python flushes it once more when it exits)
+        flush_stdout()
         sys.exit()
     args: Any = tyro.cli(args_class, args=argv, default=default)
     check_flags(args)
@@ -156,7 +155,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
 
     Each line `# title` in the class begins a group, and the comment behind a field is its help.
     """
-    width = min(shutil.get_terminal_size().columns, 120) - 1
+    width = max(min(shutil.get_terminal_size().columns, 120) - 1, 20)
     column = 30  # where the explanations begin
     for paragraph in description.strip().split("\n\n"):
         if paragraph.startswith("    "):  # formulas and commands keep their lines
@@ -193,7 +192,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
 # ---------------------------------------------------------------------------------------------------------------------
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
-OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif")
+OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -277,8 +276,8 @@ class RunDirectory:
         try:
             found = sorted(os.listdir(path)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
-            begun = any(name in (*CHECKPOINTS, "progress.json") for name in found)
-            if foreign or (set(found) - {"lock"} and not begun):
+            begun = any(name.removesuffix(".new") in (*CHECKPOINTS, "progress.json") for name in found)
+            if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
                 raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
             if begun and not args.resume:
                 raise InputError(f"{path} holds a run: --resume goes on with it, another --run-dir begins a new one.")
@@ -324,12 +323,15 @@ class RunDirectory:
         if now["flags"]["total_timesteps"] < flags["total_timesteps"]:
             words = as_flag("total_timesteps", flags["total_timesteps"])
             raise InputError(f"{self.path} was begun with {words}; timesteps can only be added.")
+        if now["flags"]["total_timesteps"] > flags["total_timesteps"] and flags["eval_points"] > 1:
+            apart = saved["budget"] / (flags["eval_points"] - 1)
+            say(f"{self.path} becomes longer; its evaluations stay {apart:,.0f} steps apart.")
         self._stopwatch = Stopwatch(**saved["seconds"])
         self._write_tables(saved)
         return saved
 
     def seconds(self) -> dict[str, float]:
-        """wall_seconds and cpu_seconds spent on the run so far, in all its processes."""
+        """wall_seconds and cpu_seconds spent on the run so far, also before it was resumed; without --env-workers'."""
         return self._stopwatch.seconds()
 
     def save(self, rows: Sequence[Mapping[str, Any]], **state: Any) -> None:
@@ -446,6 +448,14 @@ class EpisodeFile:
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json
 
 
+def flush_stdout() -> None:
+    """Writes what is left of the output. A reader such as `head`, which has seen enough, is no failure."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
+
+
 def say(text: str) -> None:
     """Writes a line to stderr, above a progress bar. A closed terminal, or a pipe that nobody reads, is no failure."""
     try:
@@ -469,8 +479,13 @@ class Log:
 
         if args.track:
             wandb = optional("wandb")
-            name = safe_name(str(path))
-            wandb.init(id=name, config=vars(args), resume="allow", sync_tensorboard=True)
+            if not (path / "wandb-id").exists():
+                write_whole(path / "wandb-id", f"{secrets.token_hex(8)}\n")
+            identity = (path / "wandb-id").read_text().strip()
+            try:
+                wandb.init(id=identity, name=str(path), config=vars(args), resume="allow", sync_tensorboard=True)
+            except wandb.errors.Error as error:  # nobody is logged in, for one
+                raise InputError(f"--track: {error}") from error
         write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
         self.begun_at = self.timestep = timestep
@@ -608,8 +623,16 @@ def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     try:
         yield
+        flush_stdout()
     except (InputError, OSError, MemoryError) as error:
         say(f"{Path(script).stem}: {str(error) or 'there is not enough memory.'}")
+        if isinstance(error, BrokenPipeError):
+            flush_stdout()
+        sys.exit(2)
+    except RuntimeError as error:
+        if not re.search("allocate memory|out of memory", str(error)):  # PyTorch's words, of a CPU or a GPU
+            raise
+        say(f"{Path(script).stem}: there is not enough memory.")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)

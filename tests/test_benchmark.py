@@ -20,6 +20,7 @@ from scripts import NAMES, ROOT
 import aggregate
 import claims
 import collect
+import envs
 import plots
 import report
 import results
@@ -353,7 +354,7 @@ def test_nobody_listens(monkeypatch, capsys, tmp_path):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
     make_run(tmp_path / "run")
-    monkeypatch.setattr(sys, "stdout", SimpleNamespace(write=closed))
+    monkeypatch.setattr(sys, "stdout", SimpleNamespace(write=closed, flush=lambda: None))
     with pytest.raises(SystemExit, match="2"):
         run_here(monkeypatch, collect, tmp_path / "run", "--results", tmp_path / "results")
     assert capsys.readouterr().err == "collect: [Errno 32] Broken pipe\n" and len(table(tmp_path / "results")) == 2
@@ -804,6 +805,19 @@ def test_a_full_disk_leaves_the_old_figures(monkeypatch, tmp_path):
 def test_wrong_input_is_named(command, said):
     done = run(*command.split())
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+
+
+def test_stepping_counts_no_step_of_what_has_finished():
+    """On the smallest map random agents collect the only food long before the 50th step."""
+    counted = stepping.ours("lbf-5x5-2p-1f", 100, False)()
+    env = envs.make("lbf-5x5-2p-1f", 2000)
+    env.reset()
+    totals = envs.EpisodeTotals(env)
+    rng = np.random.default_rng(1)
+    while not totals.ended.all():
+        totals.add(*env.step(rng.integers(0, env.n_actions, (2000, 2)))[1:])
+    assert counted == pytest.approx(100 * totals.means()["episode_length"], rel=0.1) and counted < 4000
+    assert stepping.ours("matrix-climbing", 4, False)() == 100
 
 
 def test_stepping_keeps_its_figures(tmp_path):

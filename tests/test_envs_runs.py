@@ -5,6 +5,7 @@ import errno
 import math
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -164,6 +165,18 @@ class TestDirectory:
             open_directory(directory)
         assert open_directory(directory, resume=True).checkpoint() is None
 
+    def test_a_run_that_is_lengthened_says_where_its_evaluations_lie(self, tmp_path: Path, capsys: Any) -> None:
+        first = open_directory(tmp_path)
+        first.save([], budget=1000)
+        first._lock.lock.release()
+        open_directory(tmp_path, resume=True, total_timesteps=50_000).checkpoint()
+        assert "becomes longer; its evaluations stay 500 steps apart" in capsys.readouterr().err
+
+    def test_a_run_that_was_killed_at_its_very_first_write_is_ours(self, tmp_path: Path) -> None:
+        (tmp_path / "progress.json.new").touch()
+        with pytest.raises(InputError, match="holds a run: --resume goes on with it"):
+            open_directory(tmp_path)
+
     def test_a_run_whose_checkpoints_are_gone_is_not_begun_anew(self, tmp_path: Path) -> None:
         """That would overwrite its evaluations."""
         directory = tmp_path / "run"
@@ -252,6 +265,84 @@ def test_a_closed_terminal_is_no_failure(monkeypatch: Any) -> None:
     runs.say("one")
     assert sys.stderr.name == os.devnull
     runs.say("two")
+
+
+class TestTracking:
+    """Weights & Biases, by a stand-in."""
+
+    @pytest.fixture
+    def wandb(self, monkeypatch: Any) -> list[str]:
+        """The ids of the runs that were begun or gone on with; the first is refused."""
+        ids: list[str] = []
+
+        class Error(Exception):
+            pass
+
+        def init(id: str, **_: Any) -> None:
+            ids.append(id)
+            if len(ids) == 1:
+                raise Error("nobody is logged in")
+
+        stand_in = SimpleNamespace(init=init, errors=SimpleNamespace(Error=Error))
+        monkeypatch.setitem(sys.modules, "wandb", stand_in)
+        return ids
+
+    def test_each_run_has_its_own_id_and_keeps_it(self, wandb: list[str], tmp_path: Path) -> None:
+        for name in ("first", "first", "second", "second"):
+            directory = open_directory(tmp_path / name, track=True, resume=len(wandb) > 1)
+            if not wandb:
+                with pytest.raises(InputError, match="--track: nobody is logged in"):
+                    runs.Log(directory.path, directory.args, 0, False)
+            else:
+                runs.Log(directory.path, directory.args, 0, False).close()
+            directory._lock.lock.release()
+        assert wandb[0] == wandb[1] != wandb[2] == wandb[3]
+
+
+def test_the_third_ctrl_c_ends_at_once() -> None:
+    """An environment may hang, and then no batch ends."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        signals = runs.StopSignals()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM, signal.SIGTERM, signal.SIGINT):
+            os.kill(os.getpid(), number)
+        assert signals.received == signal.SIGINT
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def test_too_little_memory_ends_in_one_sentence(capsys: Any) -> None:
+    import torch
+
+    with pytest.raises(SystemExit, match="2"), runs.one_sentence(__file__):
+        torch.empty(2**60)
+    assert capsys.readouterr().err.strip().endswith("there is not enough memory.")
+    with pytest.raises(RuntimeError, match="something else"), runs.one_sentence(__file__):
+        raise RuntimeError("something else")
+
+
+@pytest.mark.parametrize(("flush", "code", "said"), [(False, 0, ""), (True, 2, "x: [Errno 32] Broken pipe\n")])
+def test_a_reader_that_has_seen_enough(flush: bool, code: int, said: str) -> None:
+    """As `python algos/mappo.py --watch ... | head -1`; Python's own flush at the end would complain."""
+    program = f"from envs import runs\nwith runs.one_sentence('x.py'):\n    print(1, flush={flush})"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    ours, theirs = os.pipe()
+    os.close(ours)
+    done = subprocess.run(
+        [sys.executable, "-c", program], stdout=theirs, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_help_in_the_narrowest_terminal(monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.setenv("COLUMNS", "1")
+    runs.show_help(Args, Args(), "a script")
+    assert "--gamma NUMBER" in capsys.readouterr().out
 
 
 def test_ctrl_c_before_there_is_anything_to_save() -> None:
