@@ -13,7 +13,7 @@ import sys
 
 import envs
 from envs.check import problems
-from envs.runs import check_flags
+from envs.runs import check_flags, open_streams
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -62,6 +62,7 @@ def check_task(argv: list[str]) -> None:
 
 def main(argv: list[str]) -> None:
     """Print the table. A wrong name ends with one sentence and exit code 2."""
+    open_streams()  # the argparse of Python 3.11.2, for one, would fail without
     if argv[:1] == ["check"]:
         check_task(argv[1:])
     parser = argparse.ArgumentParser(prog="python -m envs", description="Tasks, their sizes and the paper's budgets.")

@@ -609,18 +609,22 @@ class StopSignals:
         sys.exit(128 + (self.received or 0))
 
 
+def open_streams() -> None:
+    """Gives a process that was started with closed output (`2>&-`) streams that lead nowhere."""
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+
+
 @contextlib.contextmanager
 def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
 
     Such reasons are wrong input, a full disk or a lack of memory. Ctrl-C before a run can save anything ends with exit
-    code 130. A process that was started with closed output (`2>&-`) has no stream to write to; it gets one that leads
-    nowhere.
+    code 130.
     """
-    if sys.stdout is None:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    open_streams()
     try:
         yield
         flush_stdout()
