@@ -203,7 +203,7 @@ def condition(run: Run) -> str:
     return "complete" if is_complete(run) else "begun"
 
 
-def check_flags(run: Run) -> None:
+def check_same_flags(run: Run) -> None:
     """ValueError where the directory holds a run with other flags, such as a shorter one that was made by hand.
 
     Where config.json cannot be read, nothing is known yet: the script makes it again.

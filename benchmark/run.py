@@ -210,7 +210,7 @@ class Campaign:
             self.view.say(f"{run}: damaged, {damage}; kept in {place} and begun anew")
             return "new"
         if there == "begun":
-            plan.check_flags(run)
+            plan.check_same_flags(run)
             for name in plan.drop_damaged_checkpoints(run):
                 self.view.say(f"{run}: {name} is damaged, it goes on from another checkpoint")
         return there
@@ -262,7 +262,7 @@ class Campaign:
     def collect(self, run: Run) -> None:
         """Puts a complete run into the results."""
         try:
-            plan.check_flags(run)
+            plan.check_same_flags(run)
             collect_run(run.directory, self.results)
         except (ValueError, OSError) as error:  # ValueError: it is another run, or does not fit to the other seeds
             self.fail(run, f"complete, but not collected: {error}", run.directory)
@@ -341,7 +341,7 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
                 continue
             there = plan.condition(run)
             if there != "new":
-                plan.check_flags(run)
+                plan.check_same_flags(run)
         except Damaged as damage:
             there = f"damaged, {damage}: to be kept aside and begun anew"
         except (ValueError, OSError) as error:

@@ -299,6 +299,7 @@ class TestTracking:
         assert wandb[0] == wandb[1] != wandb[2] == wandb[3]
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
 def test_the_third_ctrl_c_ends_at_once() -> None:
     """An environment may hang, and then no batch ends."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
