@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import select
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from multiprocessing import resource_tracker
+from multiprocessing import resource_tracker, util
 from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import Any
@@ -21,19 +22,36 @@ from envs.tasks import InputError
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
+def ignore_stops(connection: Connection) -> None:
+    """Makes a worker outlive what stops its parent, which first saves the run and then ends the connection.
+
+    A closed terminal and `timeout` signal a group of processes; systemd and Slurm signal every single one.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has neither groups nor masks
+        return
+    os.setsid()
+    ended = select.poll()
+    ended.register(connection, 0)  # of its events only the end, which is always reported
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+    # A game that hangs in a call does not see the connection's end: the parent then sends SIGTERM. The exit closes it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit() if ended.poll(0) else None)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+
+
+def end(connections: list[Connection]) -> None:
+    """Tells workers that nobody needs their games any more."""
+    for connection in connections:
+        connection.close()
+
+
 def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> None:
     """A worker process: builds its games and calls their methods on request, until the connection ends.
 
     A request is the name of a method and, for some of the games, the arguments. The answer is the list of results; or,
     before the process ends, an InputError, or the text of another error's traceback.
     """
-    if hasattr(os, "setsid"):  # what the terminal sends to all of a program is for the parent, which then ends this one
-        os.setsid()
-    for number in STOPS:
-        signal.signal(number, signal.SIG_IGN)  # forgets, too, what has come while the process began
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # so that the games are closed
+    ignore_stops(connection)
     games = []
     try:
         for _ in range(n_games):
@@ -95,6 +113,8 @@ class Games:
         if n_workers == 0:
             self._here = [build() for _ in range(n_games)]
             return
+        # A program that ends without `close` says so to the workers before it waits for them.
+        util.Finalize(self, end, [self._connections], exitpriority=0)
         context = multiprocessing.get_context("spawn")
         for worker, block in enumerate(np.array_split(np.arange(n_games), min(n_workers, n_games))):
             self._place += [(worker, i) for i in range(len(block))]
@@ -127,8 +147,7 @@ class Games:
         """End the games and their processes."""
         for game in self._here:
             game.close()
-        for connection in self._connections:
-            connection.close()
+        end(self._connections)
         for process in self._workers:
             process.join(10)
             process.terminate()

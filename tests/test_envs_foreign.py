@@ -229,23 +229,45 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no groups of processes")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
-def test_what_the_terminal_sends_does_not_reach_the_workers(number: str) -> None:
-    """As `timeout` does, or a terminal that is closed: at once, while the workers begin, and in the middle."""
+def test_what_stops_a_run_does_not_stop_its_workers(number: str) -> None:
+    """To the group (`timeout`, a closed terminal) and to every process (systemd): at the start and in the middle."""
     play = f"""
-import os, signal, envs
+import multiprocessing, os, signal, envs
+def stop():
+    os.killpg(0, signal.{number})
+    for worker in multiprocessing.active_children():
+        os.kill(worker.pid, signal.{number})
 if __name__ == "__main__":
     received = []
     signal.signal(signal.{number}, lambda *_: received.append(1))
     env = envs.make({FORAGING!r}, 4, env_workers=2)
-    os.killpg(0, signal.{number})
+    stop()
     env.reset()
-    os.killpg(0, signal.{number})
+    stop()
     env.step([[0, 0]] * 4)
     env.close()
     print(len(received))
 """
     done = subprocess.run([sys.executable, "-c", play], capture_output=True, text=True, start_new_session=True)
     assert done.stdout == "2\n", done.stderr
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timers")
+def test_a_program_ends_while_a_worker_hangs() -> None:
+    """Without `close`, as after the third Ctrl-C. Two games are closed by the worker, one told its sizes before."""
+    play = """
+import signal, sys, envs
+if __name__ == "__main__":
+    env = envs.make("pettingzoo:toy_broken", 2, env_kwargs={"how": "hangs"}, env_workers=1)
+    env.reset()
+    env.step([[0, 0, 0]] * 2)
+    signal.signal(signal.SIGALRM, lambda *_: sys.exit(7))
+    signal.alarm(1)
+    env.step([[0, 0, 0]] * 2)
+"""
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", play], capture_output=True, text=True, env=paths, timeout=60)
+    assert (done.returncode, done.stdout) == (7, "closed\n" * 3), done.stderr
 
 
 # ---------------------------------------------------------------------------------------------------------------------

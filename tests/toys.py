@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from typing import Any
 
 import gymnasium
@@ -98,7 +99,12 @@ class Broken(Queue):
             raise ZeroDivisionError("the toy is broken")
         if self.steps == 1 and self.how == "killed":
             os.kill(os.getpid(), signal.SIGKILL)
+        if self.steps == 1 and self.how == "hangs":
+            time.sleep(600)
         return super().step(actions)
+
+    def close(self) -> None:
+        print("closed")
 
 
 class Odd(Queue):
