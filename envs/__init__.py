@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import numbers
 import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -71,7 +72,7 @@ def make(
     or seed out of range.
     """
     for option, value in (("max_episode_steps", max_episode_steps), ("env_workers", env_workers)):
-        if not isinstance(value, int) or value < 0:
+        if not isinstance(value, numbers.Integral) or value < 0:
             raise InputError(f"{option} is {value}; it must be a whole number from 0 on.")
     described = task(name)
     options: dict[str, Any] = {}

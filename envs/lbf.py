@@ -42,9 +42,9 @@ from numpy.typing import NDArray
 
 from envs import vector
 from envs.kernels import compiled, episode_state, forbidden_action, random_below
+from envs.tasks import PLACES_TRIED
 
 EPISODE_LIMIT = 50
-ATTEMPTS = 1000
 NORTH, SOUTH, WEST, EAST, LOAD = 1, 2, 3, 4, 5
 
 # Colours of a frame
@@ -115,7 +115,7 @@ def reset_env(state, config, e):
     attempts = 0
     food[e, :, :] = 0
     state.food_total[e] = 0
-    while placed < n_foods and attempts < ATTEMPTS:
+    while placed < n_foods and attempts < PLACES_TRIED:
         attempts += 1
         row = 1 + random_below(random, e, config.rows - 2)
         column = 1 + random_below(random, e, config.columns - 2)

@@ -612,11 +612,11 @@ def lines_of_units(unit, i, largest, near, distance, line, n_lines):
         length = math.sqrt(out_x * out_x + out_y * out_y)
         ahead = out_x * to_x + out_y * to_y
         if touching or (ahead < 0 and ahead * ahead > together * together * length * length):
+            to_go = together * per_second - length
             if length == 0:  # all ways out are as far
                 out_x, length = 1.0, 1.0
             out_x, out_y = out_x / length, out_y / length
             direction_x, direction_y = out_y, -out_x
-            to_go = together * per_second - length
             change_x, change_y = to_go * out_x, to_go * out_y
         else:
             leg = math.sqrt(squared - together * together)
@@ -1014,8 +1014,8 @@ class Env(vector.VectorEnv):
         bits = [field.ally_types.index(unit) if n_types else 0 for unit in allies]
         bits += [field.enemy_types.index(unit) if n_types else 0 for unit in enemies]
 
-        healers = sum(unit.heals for unit in units[:n_allies])
-        n_actions = ATTACK + (max(n_allies - healers, n_enemies) if healers else n_enemies)
+        healers = any(unit.heals for unit in units[:n_allies])
+        n_actions = ATTACK + (max(n_allies, n_enemies) if healers else n_enemies)
         ally_shields = any(unit.shield for unit in units[:n_allies])
         enemy_shields = any(unit.shield for unit in units[n_allies:])
         ally_size, enemy_size = 5 + ally_shields + n_types, 5 + enemy_shields + n_types

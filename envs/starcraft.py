@@ -23,6 +23,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +114,8 @@ class Env(vector.VectorEnv):
                 "--eval-episodes and --num-envs say how many there are."
             )
         self._battles = Games(name, functools.partial(Battle, map_name), num_envs, n_workers=num_envs)
-        self.num_envs = num_envs
-        sizes = self._start(seed)
+        self._started: dict[int, int] = {}  # of each game, the seed that it was started with
+        sizes = self._start(seed, range(num_envs))
         super().__init__(
             name,
             num_envs,
@@ -132,9 +133,10 @@ class Env(vector.VectorEnv):
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
-        if int(seed) != self._started:
-            self._start(int(seed))
-        self._play("reset", {e: () for e in np.flatnonzero(mask).tolist()})
+        chosen = np.flatnonzero(mask).tolist()
+        if others := [e for e in chosen if self._started[e] != int(seed)]:
+            self._start(int(seed), others)
+        self._play("reset", {e: () for e in chosen})
 
     def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
         """See `VectorEnv`."""
@@ -148,10 +150,10 @@ class Env(vector.VectorEnv):
         if hasattr(self, "_battles"):  # not where the package is missing
             self._battles.close()
 
-    def _start(self, seed: int) -> dict[str, int]:
-        """Let each worker start its game, with a seed of its own; returns what the package says of the task."""
-        seeds = {e: (int(np.random.SeedSequence([seed, e]).generate_state(1)[0]),) for e in range(self.num_envs)}
-        self._started = seed
+    def _start(self, seed: int, chosen: Iterable[int]) -> dict[str, int]:
+        """Start these games, each with a seed of its own; returns what the package says of the task."""
+        seeds = {e: (int(np.random.SeedSequence([seed, e]).generate_state(1)[0]),) for e in chosen}
+        self._started |= dict.fromkeys(seeds, seed)
         sizes: dict[str, int] = self._battles.call("start", seeds)[0]
         return sizes
 

@@ -121,11 +121,11 @@ def unknown(name: str) -> str:
     if len(name) > LONGEST_NAME:
         return f"unknown task {name[:40] + '...'!r} (a name of {len(name):,} characters). {table}."
     translations = names_here(name)
-    here = [ours for ours in translations if is_task(ours)]
+    here = [ours for ours in translations if refusal(ours) is None]
     if here:
         return f"unknown task {name!r}; here it is called {' or '.join(here)}. {table}."
     if translations:
-        return f"unknown task {name!r}; this project does not have that game. {table}."
+        return f"unknown task {name!r}; this project does not have that game{refusal(translations[-1])}. {table}."
     spelled = {ours.lower(): ours for ours in PAPER_TASKS}
     near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled)]
     if near:
@@ -133,12 +133,12 @@ def unknown(name: str) -> str:
     return f"unknown task {name!r}. {table}."
 
 
-def is_task(name: str) -> bool:
-    """Whether `task` would find the name."""
+def refusal(name: str) -> str | None:
+    """None if `task` would find the name, else why there is no such game, in brackets, or "" if the form is unknown."""
     try:
-        return parsed(name) is not None
-    except InputError:
-        return False
+        return None if parsed(name) else ""
+    except InputError as error:
+        return f" ({str(error).removesuffix('.')})"
 
 
 def names_here(name: str) -> list[str]:
@@ -196,6 +196,9 @@ def parse_matrix(name: str) -> Task | None:
     return Task(name, "matrix", 2_500_000, 250_000, 101, "matrix", {"penalty": penalty})
 
 
+PLACES_TRIED = 1000  # for the foods of an episode
+
+
 def parse_lbf(name: str) -> Task | None:
     """Level-Based Foraging on a board of any size that has room for the agents and the foods."""
     match = re.fullmatch(f"lbf-{NUMBER}x{NUMBER}-{NUMBER}p-{NUMBER}f(-2s)?(-c)?(-v3)?", name)
@@ -204,6 +207,10 @@ def parse_lbf(name: str) -> Task | None:
     rows, columns, n_agents, n_foods = (int(match[i]) for i in range(1, 5))
     if n_agents == 0 or n_foods == 0:
         raise InputError(f"{name}: the game needs at least one agent and one food.")
+    if n_foods > PLACES_TRIED:
+        raise InputError(
+            f"{name}: the game tries {PLACES_TRIED:,} places for its foods, so there are never more of them."
+        )
     if rows < 3 or columns < 3:
         raise InputError(f"{name}: foods never lie on the border, so a board needs at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:

@@ -230,15 +230,16 @@ class VectorEnv(GymnasiumVectorEnv):
         A reset of all begins the same episode, number `env.episode`, in each of them. With a seed this is number 0.
         """
         mask = options.get("reset_mask") if options else None
-        if mask is None:
-            mask = np.ones(self.num_envs, np.bool_)
-            self._episodes[:] = self._episodes.max()
-        else:
+        if mask is not None:
             self._check_mask(mask)
+            mask = mask.copy()  # it may be the array of the flags, which are cleared below
         if seed is not None:
             self._set_seed(seed)
             super().reset(seed=self.seed)
             self._episodes[:] = 0
+        if mask is None:
+            mask = np.ones(self.num_envs, np.bool_)
+            self._episodes[:] = self._episodes.max()
         self.rewards[mask] = 0
         self.agent_rewards[mask] = 0
         self.terminated[mask] = False
@@ -266,7 +267,7 @@ class VectorEnv(GymnasiumVectorEnv):
             type(actions) is not np.ndarray
             or actions.dtype != np.int64
             or actions.shape != self._shape
-            or not actions.flags.c_contiguous
+            or not actions.flags.carray  # contiguous and writeable; for other arrays Numba compiles all rules anew
         ):
             actions = self._as_actions(actions)
         refused = self.step_envs(actions, self._playing)
@@ -321,7 +322,7 @@ class VectorEnv(GymnasiumVectorEnv):
             )
         if array.dtype.kind not in "iu":
             raise ValueError(f"{self.name}: actions are {array.dtype}, not integers.")
-        return np.ascontiguousarray(array, np.int64)
+        return array.astype(np.int64, order="C")
 
     def _refusal(self, actions: NDArray[np.int64], refused: int) -> ValueError:
         index, agent = divmod(refused, self.n_agents)

@@ -203,7 +203,7 @@ def test_one_agent() -> None:
 
 def test_workers_play_what_one_process_plays() -> None:
     """Five sub-environments in two workers, with a reset of some."""
-    here, there = envs.make(FORAGING, 5, seed=2), envs.make(FORAGING, 5, seed=2, env_workers=2)
+    here, there = envs.make(FORAGING, 5, seed=2), envs.make(FORAGING, 5, seed=2, env_workers=np.int64(2))  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
     for episode in range(2):
         mask = None if episode == 0 else {"reset_mask": np.array([True, False, True, True, False])}

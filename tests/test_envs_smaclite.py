@@ -431,6 +431,21 @@ def test_healing_costs_energy() -> None:
     assert not env.action_mask[0, 0, ATTACK] and env.action_mask[0, 0, ATTACK + 8]  # never itself
 
 
+def test_more_allies_than_enemies_and_a_healer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A map of one's own. Each ally has an action of the healer, the last one too."""
+    units = ("medivac", *("marine",) * 5)
+    monkeypatch.setitem(smaclite_maps.LITE_MAPS, "clinic", smaclite_maps.meeting(100, units, ("marine",) * 2))
+    env = smaclite.Env("clinic", 1, 0, True, map_name="clinic", rule_set="lite")
+    env.reset()
+    assert env.n_actions == ATTACK + 6
+    unit = put(env, {0: (9, 16), 5: (10, 16), 6: (30, 16)})
+    unit[5].hp, unit[5].max_hp = 1, 1000
+    for _ in range(5):
+        env.step([[ATTACK + 5, 0, 0, 0, 0, STOP]])
+    assert env.action_mask[0, 0].nonzero()[0].tolist()[-1] == ATTACK + 5 and unit[5].hp > 2
+    assert not env.action_mask[0, 1, 1:].any()  # of the dead
+
+
 def test_a_patient_saved_in_the_tick_of_its_death() -> None:
     """Of SMAClite: the healer's turn comes after the killing hit in one of two cases. Not so with -sc2."""
     for suffix, chance in (("", 0.5), ("-sc2", 0)):

@@ -140,6 +140,24 @@ def test_another_seed_starts_other_games(log: Path) -> None:
     assert log.read_text().count("made") == log.read_text().count("closed") == 2
 
 
+def test_another_seed_for_some_games(log: Path) -> None:
+    """The others go on, and take the seed when they are reset."""
+    env = envs.make("smac-3m", 2, seed=7)
+    env.reset()
+    env.step([[1, 1]] * 2)
+    first, second = np.array([True, False]), np.array([False, True])
+    assert env.reset(seed=8, options={"reset_mask": first})[1]["state"][:, 0].tolist() == [100, 101]
+    assert env.step([[1, 1]] * 2)[4]["state"][:, 0].tolist() == [101, 102]
+    assert log.read_text().count("made") == 3
+    assert env.reset(options={"reset_mask": second})[1]["state"][:, 0].tolist() == [101, 100]
+    made = [line for line in log.read_text().split("\n") if line.startswith("made")]
+    env.close()
+    env = envs.make("smac-3m", 2, seed=8)
+    env.close()
+    again = [line for line in log.read_text().split("\n") if line.startswith("made")]
+    assert len(made) == 4 and sorted(again[4:]) == sorted(made[2:])
+
+
 def test_a_game_that_ends_by_itself_is_an_error(log: Path) -> None:
     env = envs.make("smac-3m", 1)
     env.reset()

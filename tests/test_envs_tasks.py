@@ -133,6 +133,7 @@ def test_every_warehouse_is_played_or_refused(size: str, agents: int) -> None:
         ("lbf-5x5-2p-3f", "a 5x5 board is played with at most 2 of them, not 3"),
         ("lbf-5x5-2p-4f-v3", "a 5x5 board is played with at most 2 of them, not 4"),
         ("lbf-99999999x8-2p-2f", r"longer than 2\^24"),
+        ("lbf-16777216x3-2p-9999999f", "tries 1,000 places for its foods"),
         ("matrix-penalty-99999999", r"larger than 2\^24"),
         ("rware-tiny-0p", "1 to 20 agents"),
         ("rware-large-21p", "1 to 20 agents"),
@@ -251,6 +252,12 @@ def test_names_of_the_reference_are_translated(name: str, ours: str) -> None:
 )
 def test_names_here(name: str, ours: list[str]) -> None:
     assert names_here(name) == ours
+
+
+def test_a_game_that_is_impossible_here_says_why() -> None:
+    for name, why in (("5x5-2p-3f", "foods lie inside the border .*, not 3"), ("5x5-9p-1f", "9 agents may leave .*")):
+        with pytest.raises(envs.InputError, match=rf"does not have that game \(lbf-{name}: {why}\)\. `python"):
+            envs.task(f"Foraging-{name}-v3")
 
 
 def test_a_translation_that_is_no_task_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -279,6 +279,20 @@ def test_a_masked_reset_leaves_the_others_alone() -> None:
     np.testing.assert_array_equal(play(env, 6, 1)[-1][[0, 2]], play(untouched, 6, 1)[-1][[0, 2]])
 
 
+@pytest.mark.parametrize("copy", [True, False])
+def test_the_flags_themselves_are_a_mask(copy: bool) -> None:
+    """Though a reset clears them."""
+    env = Counting(2, copy)
+    env.reset()
+    *_, terminated, _, _ = [env.step([[0, 0]] * 2) for _ in range(2)][-1]
+    assert terminated.tolist() == [True, False]
+    env.reset(options={"reset_mask": terminated})
+    assert env.episode == 2 and env.state[:, 0].tolist() == [0, 2] and not env.terminated.any()
+    env.step([[0, 0]] * 2)
+    env.reset(options={"reset_mask": env.terminated})
+    assert env.state[:, 0].tolist() == [1, 0]
+
+
 @pytest.mark.parametrize(
     ("mask", "error", "message"),
     [
@@ -293,6 +307,15 @@ def test_wrong_masks(mask: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         env.reset(options={"reset_mask": mask})
     assert env.episode == 0
+
+
+def test_a_refused_reset_changes_nothing() -> None:
+    env = envs.make(TASKS[1], 2)
+    env.reset()
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ValueError, match="seed is -1"):
+        env.reset(seed=-1)
+    assert env._episodes.tolist() == [2, 1]
 
 
 def test_stepping_before_a_reset() -> None:
@@ -408,12 +431,20 @@ def test_without_copies_the_same_arrays_return(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_actions_of_any_integer_kind(name: str) -> None:
+def test_actions_of_any_integer_kind(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     env = envs.make(name, 2, seed=8)
     expected = None
     actions = np.array([[1, 2, 0], [0, 1, 2]])[:, : env.n_agents]
     kinds = [actions, actions.astype(np.int32), actions.astype(np.uint8), actions.tolist(), np.asfortranarray(actions)]
-    for kind in [*kinds, np.repeat(actions, 2, axis=1)[:, ::2]]:
+    kinds += [np.repeat(actions, 2, axis=1)[:, ::2], np.frombuffer(actions.tobytes(), np.int64).reshape(actions.shape)]
+    plain = env.step_envs
+
+    def step_envs(actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
+        assert actions.flags.carray  # Numba would compile the rules anew for others
+        return plain(actions, playing)
+
+    monkeypatch.setattr(env, "step_envs", step_envs)
+    for kind in kinds:
         env.reset(seed=8)
         outcome = [array.copy() for array in arrays(env.step(kind))]
         expected = expected or outcome
