@@ -524,11 +524,11 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 
 
 def watch(args: Args) -> None:
-    """Plays what was trained, prints the results and films the first episodes."""
+    """Plays what was trained, prints the results and films the first of the episodes."""
     team = load(args.watch, args.seed)
     env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    print(envs.film(env, team, Path(args.watch, "film.gif")))
+    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
 
 
 def main() -> None:

@@ -167,6 +167,16 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
     return figure
 
 
+def title_of_family(family: str, rows: pd.DataFrame) -> str:
+    """A family's name, how many tasks its panel is made of, and on how many of them the algorithms were run."""
+    tasks, each = rows["task"].nunique(), rows.groupby("algorithm")["task"].nunique()
+    title = f"{FAMILIES[family]}, {tasks} task{'s' * (tasks != 1)}"
+    if each.min() == tasks:
+        return title
+    most = f" to {each.max()}" if each.min() < each.max() else ""
+    return f"{title}, each algorithm on {each.min()}{most}"
+
+
 def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
     """Normalised returns over training, a panel for each family: means over tasks with 95 % intervals."""
     chosen = normalised[normalised["sharing"] == sharing]
@@ -176,9 +186,7 @@ def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
         rows = chosen[chosen["family"] == family]
         for algorithm, line in mean_curves(rows, "normalised"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
-        numbers = rows.groupby("algorithm")["task"].nunique()
-        fewest = f"{numbers.min()} to " if numbers.min() < numbers.max() else ""
-        panel.set_title(f"{FAMILIES[family]} (tasks: {fewest}{numbers.max()})")
+        panel.set_title(title_of_family(family, rows))
         panel.set_ylim(-0.02, 1.02)
     figure.suptitle(f"Normalised returns, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
@@ -269,13 +277,14 @@ def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
     thresholds = np.linspace(0, 1, 101)
     measure = aggregate.performance_profile(thresholds)
     for family, panel in zip(families, axes):
-        scores = aggregate.final_scores(chosen[chosen["family"] == family])
+        rows = chosen[chosen["family"] == family]
+        scores = aggregate.final_scores(rows)
         for algorithm in algorithm_order(name for name, _ in scores):
             look = style(algorithm)
             share, low, high = aggregate.with_interval(measure, list(scores[algorithm, sharing].values()))
             panel.step(thresholds, share, **look, lw=1.3)
             panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")
-        panel.set_title(FAMILIES[family])
+        panel.set_title(title_of_family(family, rows))
     figure.suptitle(f"Runs above a normalised return at the last evaluation, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
     return figure

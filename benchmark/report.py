@@ -95,6 +95,8 @@ class Report:
             cells = self.both[(self.both["metric"] == metric) & self.comparable()]
             near = int((cells["difference"].abs() <= 1).sum())
             sentences.append(f"{near} of {len(cells)} {name}")
+        if not self.comparable().any():
+            return "None of our values has the paper's budget and flags."
         return (
             f"Of our values with the paper's budget, {' and '.join(sentences)} are no further from the paper's than "
             "both intervals together."
@@ -175,8 +177,8 @@ class Report:
         """What all runs took together, beside the paper's."""
         total, runs = self.hours["total"].sum(), int(self.hours["runs"].sum())
         return (
-            f"These {runs} runs took {total:,.1f} CPU hours, {total / runs:.2f} a run. The paper's "
-            f"{PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC had "
+            f"These {runs} runs, those with default flags, took {total:,.1f} CPU hours, {total / runs:.2f} a run. The "
+            f"paper's {PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC had "
             "five cores each."
         )
 
@@ -202,7 +204,7 @@ class Report:
         """What stands in benchmark/README.md."""
         seeds = self.evaluations.groupby([*KEY, "seed"]).ngroups
         tasks = self.evaluations["task"].nunique()
-        parts = [f"{seeds} runs on {tasks} tasks. {self.agreement()}"]
+        parts = [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
         parts += ["### Tables", tables.LEGEND]
         for metric, title in tables.TITLES.items():
             for sharing, words in plots.SHARING.items():
@@ -211,10 +213,10 @@ class Report:
         parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
         if table := tables.variants(self.evaluations, self.ours):
             parts += ["#### Other flags and budgets", table]
-        parts += ["### Figures"]
-        for name in self.figures():
-            parts.append(f"![{name}](figures/{name}.png)")
-        parts += ["### Over all tasks", OVER_ALL]
+        if figures := self.figures():
+            parts += ["### Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
+        if len(self.normalised):
+            parts += ["### Over all tasks", OVER_ALL]
         for sharing, words in plots.SHARING.items():
             if table := self.interquartile_means(sharing):
                 parts += [f"#### Interquartile means, {words}", table]
@@ -254,7 +256,7 @@ were run on different tasks do not compare in the first table."""
 
 CLAIMS_WORDS = """\
 Of the paper's sections 5 and 6, by maximum returns with sharing unless a sentence says otherwise. The head of
-[claims.py](claims.py) says what "significantly", "similar", "competitive" and "majority" mean here. By these meanings
+`benchmark/claims.py` says what "significantly", "similar", "competitive" and "majority" mean here. By these meanings
 some of the sentences do not hold in the paper's own tables."""
 
 
@@ -290,6 +292,8 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
     """
     made: dict = {}
     chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
+    if chosen.empty:
+        raise ValueError("marl-eval's file is made of runs with default flags, and there are none.")
     for (family, task, algorithm, sharing, seed), run in chosen.groupby(
         ["family", "task", "algorithm", "sharing", "seed"], sort=False
     ):
@@ -349,7 +353,7 @@ def main() -> None:
             runs.write_whole(path, text)
     except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
         parser.error(str(error))
-    print(f"{len(texts)} texts and {len(report.figures())} figures are in {args.output}.")
+    print(f"The report is in {args.output}. Texts: {len(texts)}. Figures: {len(report.figures())}.")
 
 
 if __name__ == "__main__":

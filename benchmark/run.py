@@ -39,7 +39,7 @@ import training
 from collect import collect_run
 from envs.runs import one_sentence
 from plan import Damaged, Run
-from results import RESULTS, has_seed
+from results import PAPER_FAMILIES, RESULTS, has_seed
 from view import LineView, TableView, clock, make_view, read_progress
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -381,7 +381,13 @@ def parse() -> argparse.Namespace:
     """Reads the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--algorithms", nargs="+", required=True, metavar="name", help="scripts of algos/, or all")
-    parser.add_argument("--tasks", nargs="+", required=True, metavar="name", help="tasks, families of tasks, or all")
+    parser.add_argument(
+        "--tasks",
+        nargs="+",
+        required=True,
+        metavar="name",
+        help=f"tasks, families ({', '.join(PAPER_FAMILIES)}) or all",
+    )
     parser.add_argument("--sharing", choices=["shared", "independent", "both"], default="shared")
     parser.add_argument("--seeds", type=int, help=f"how many, from 0 on; default {SEEDS}, {GRID_SEEDS} with --grid")
     parser.add_argument("--grid", type=Path, metavar="csv", help="search: run every combination of these flags")

@@ -147,6 +147,10 @@ def train(task: str, seed: int, directory: Path) -> None:
     kept = directory.with_name(f"{directory.name}-candidates")
 
     class Run(module.Run):
+        def __init__(self, *parts: Any) -> None:
+            super().__init__(*parts)
+            self.signals.advice = "the same command goes on"
+
         def save(self) -> None:
             super().save()
             if self.rows[-1]["timestep"] == self.timestep:

@@ -1,6 +1,6 @@
 """Training steps per second, on one thread, beside the reference passes measured in the same run.
 
-    taskset -c 0 python benchmark/training.py [--algos mappo ...] [--env lbf-15x15-3p-5f] [--seconds 20] [-- <flags>]
+    taskset -c 0 python benchmark/training.py [--algorithms mappo ...] [--env <task>] [--seconds 20] [-- <flags>]
 
 The loop is the script's own `train`, without evaluations and files. Reference passes: what plain PyTorch needs for the
 networks alone - forward and backward of each trained network on random inputs of a batch's size, as often as the
@@ -192,14 +192,16 @@ def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = sorted(path.stem for path in ALGOS.glob("*.py"))
-    parser.add_argument("--algos", nargs="+", default=["mappo"], choices=names, metavar="algo", help=", ".join(names))
+    parser.add_argument(
+        "--algorithms", nargs="+", default=["mappo"], choices=names, metavar="name", help=", ".join(names)
+    )
     parser.add_argument("--env", default="lbf-15x15-3p-5f")
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     chosen = parser.parse_args()
     if not 0 < chosen.seconds < math.inf:
         parser.error("--seconds must be a positive number")
-    for name in chosen.algos:
+    for name in chosen.algorithms:
         found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
         print(
             f"{found.setting:32s} {found.rate:8,.0f} steps/s, reference passes {found.reference:8,.0f}, "

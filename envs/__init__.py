@@ -128,8 +128,8 @@ def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) ->
     )
 
 
-def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int = 5) -> str:
-    """Play with a team that a script's `load` returned, and save the first episodes as a GIF.
+def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], episodes: int = 5) -> str:
+    """Play episodes drawn from the seed with a team that a script's `load` returned, and save the first ones as a GIF.
 
     Returns a line that says where the film is, or that there is none.
     """
@@ -137,7 +137,7 @@ def film(env: VectorEnv, team: Any, path: str | os.PathLike[str], episodes: int 
         return f"{env.name} has no pictures, so there is no film."
     from envs import render  # imports Pillow
 
-    render.film(env, team, path, episodes)
+    render.film(env, team, seed, path, episodes)
     return f"film: {path}"
 
 

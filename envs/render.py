@@ -6,9 +6,10 @@ This module imports Pillow, so it is imported only where something is drawn.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +26,16 @@ WHITE: Colour = (255, 255, 255)
 AGENTS: tuple[Colour, ...] = (  # dark enough for white text; colour-blind readers can tell the first ones apart
     (31, 105, 180),
     (204, 102, 0),
-    (120, 70, 160),
+    (70, 20, 95),
     (0, 133, 121),
     (190, 55, 120),
     (110, 85, 60),
     (80, 90, 105),
     (150, 130, 0),
 )
-FILM_STEPS = (
-    250  # a film shows so many steps, or one episode if that is longer: frames are kept in memory until the end
-)
+FILM_STEPS = 250  # a film shows so many, or one episode if that is longer: frames are kept in memory until the end
+HELD = 4  # the end of an episode is shown so many times more, before the next one begins
+AREA, AREAS = 100, 64  # of a film's palette: at least so many pixels are an area; at most so many colours are for areas
 DETAIL = 4  # pictures are drawn this many times larger and then reduced, so that edges are smooth
 
 
@@ -90,6 +91,27 @@ class Canvas:
         return np.asarray(self.image.resize(self.size, Image.Resampling.BOX))
 
 
+def common_palette(images: list[Image.Image]) -> Image.Image:
+    """One palette for a whole film, so that colours do not flicker.
+
+    A colour that fills an area in any frame is in it: what is seen in a few frames only, such as a touch, matters most.
+    The rest of the 256 are for the edges between areas, from frames all over the film.
+    """
+    largest: Counter[Any] = Counter()  # the most pixels that a colour has in a frame
+    for image in images:
+        for pixels, colour in image.getcolors(image.width * image.height) or []:
+            largest[colour] = max(largest[colour], pixels)
+    areas = [colour for colour, pixels in largest.most_common(AREAS) if pixels >= AREA]
+    sample = images[:: max(1, len(images) // 8)]
+    strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
+    for i, image in enumerate(sample):
+        strip.paste(image, (0, i * image.height))
+    colours = strip.quantize(256 - len(areas), dither=Image.Dither.NONE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in areas for value in colour] + colours[: 3 * (256 - len(areas))])
+    return palette
+
+
 def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str], frames_per_second: float = 5) -> None:
     """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
 
@@ -101,12 +123,7 @@ def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str],
         raise ValueError("a film needs at least one frame.")
     if any(image.size != images[0].size for image in images):
         raise ValueError("the frames of a film must be of one size.")
-    # One palette for the whole film, taken from frames all over it, and no dithering, so that colours do not flicker.
-    sample = images[:: max(1, len(images) // 8)]
-    strip = Image.new("RGB", (images[0].width, images[0].height * len(sample)))
-    for i, image in enumerate(sample):
-        strip.paste(image, (0, i * image.height))
-    palette = strip.quantize(256, dither=Image.Dither.NONE)
+    palette = common_palette(images)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     duration = [round(1000 / frames_per_second)] * (len(images) - 1) + [1000]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
@@ -122,13 +139,13 @@ class Team(Protocol):
         """Actions, [num_envs, n_agents]."""
 
 
-def film(env: VectorEnv, team: Team, path: str | os.PathLike[str], episodes: int = 5) -> None:
-    """Play an episode in each sub-environment, and save the first few of them, one after the other, as a GIF.
+def film(env: VectorEnv, team: Team, seed: int, path: str | os.PathLike[str], episodes: int = 5) -> None:
+    """Play an episode drawn from the seed in each sub-environment; save the first few, one after the other, as a GIF.
 
     episodes: at most so many are shown; fewer, but at least one, where they are long (see FILM_STEPS).
     Raises ValueError if the family has no pictures.
     """
-    observations, info = env.reset()
+    observations, info = env.reset(seed=seed)
     team.reset()
     shown = range(min(episodes, env.num_envs, max(FILM_STEPS // env.episode_limit, 1)))
     frames = [[env.frame(index)] for index in shown]
@@ -139,4 +156,4 @@ def film(env: VectorEnv, team: Team, path: str | os.PathLike[str], episodes: int
             if not ended[index]:
                 frames[index].append(env.frame(index))
         ended = terminated | truncated
-    save_film([frame for episode in frames for frame in episode], path)
+    save_film([frame for episode in frames for frame in (*episode, *[episode[-1]] * HELD)], path)

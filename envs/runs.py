@@ -588,6 +588,8 @@ class StopSignals:
     The third Ctrl-C ends it at once, since an environment may hang. Its last checkpoints stay as they are.
     """
 
+    advice = "the same command with --resume goes on"
+
     def __init__(self) -> None:
         self.received: int | None = None
         self.interrupts = 0
@@ -605,7 +607,7 @@ class StopSignals:
 
     def exit(self, timestep: int) -> None:
         """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""
-        say(f"Stopped at step {timestep:,}; the same command with --resume goes on.")
+        say(f"Stopped at step {timestep:,}; {self.advice}.")
         sys.exit(128 + (self.received or 0))
 
 

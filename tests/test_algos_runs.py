@@ -22,7 +22,7 @@ import torch
 from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from envs import matrix, runs
+from envs import lbf, matrix, runs
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "running", "--network", "gru"]
@@ -552,11 +552,20 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
         assert getattr(film, "n_frames", 1) > 3
 
 
-def test_the_seed_says_which_episodes_are_watched(finished, monkeypatch, capsys):
-    (name, directory), seen = finished, []
-    monkeypatch.setattr(envs, "film", lambda env, team, path: seen.append((env.seed, team.rng.initial_seed())))
-    assert main(monkeypatch, capsys, name, "--watch", directory, "--eval-episodes", 3, "--seed", 5)[0] == 0
-    assert seen == [(5, 5)]
+def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys):
+    """Those of the seed."""
+    name, directory = finished
+    returns = np.zeros(3)
+
+    def frame(env, index):
+        assert env.seed == 5
+        returns[index] += env.rewards[index]
+        return np.zeros((4, 4, 3), np.uint8)
+
+    monkeypatch.setattr(lbf.Env, "frame", frame)
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(directory), "--eval-episodes", "3", "--seed", "5"])
+    script(name).main()
+    assert f"return_mean {returns.mean():.3f}, return_std {returns.std():.3f}," in capsys.readouterr().out
 
 
 def test_the_loaded_team_plays_like_the_last_evaluation(finished):

@@ -761,6 +761,27 @@ def test_a_single_run_of_a_foreign_task_is_reported(monkeypatch, tmp_path):
     assert (tmp_path / "out" / "figures" / "curves-other-shared.png").exists()
 
 
+def test_a_report_of_changed_flags_alone(monkeypatch, tmp_path, capsys):
+    directory = make_run(tmp_path / "run", changed={"total_timesteps": 1000, "network": "gru"})
+    collect.collect_run(directory, tmp_path / "results")
+    write_report(monkeypatch, tmp_path)
+    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    assert "1 run on 1 task. None of our values has the paper's budget and flags." in text and "network gru" in text
+    assert "### Figures" not in text and "### Over all tasks" not in text
+    with pytest.raises(SystemExit):
+        write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "m.json"))
+    assert "there are none" in capsys.readouterr().err and not (tmp_path / "m.json").exists()
+
+
+def test_titles_say_on_how_many_tasks_algorithms_were_run():
+    pairs = {"iql": "ab", "vdn": "ab"}
+    for more, title in (({}, "2 tasks"), ({"coma": "c"}, "3 tasks, each algorithm on 1 to 2")):
+        rows = [(name, task) for name, tasks in (pairs | more).items() for task in tasks]
+        assert plots.title_of_family("lbf", pd.DataFrame(rows, columns=["algorithm", "task"])) == f"LBF, {title}"
+    rows = pd.DataFrame({"algorithm": ["iql", "vdn"], "task": ["a", "b"]})
+    assert plots.title_of_family("smac", rows) == "SMAC, 2 tasks, each algorithm on 1"
+
+
 def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
     done = run("report.py", "--results", tmp_path, "--output", tmp_path)
     assert done.returncode == 2 and "there are no results" in done.stderr
@@ -909,7 +930,7 @@ def test_ctrl_c_ends_all_quietly(monkeypatch, capsys, tmp_path, program, where):
     "flags, said",
     [
         (["--env", "nothing"], "unknown task 'nothing'"),
-        (["--algos", "nothing"], "invalid choice: 'nothing'"),
+        (["--algorithms", "nothing"], "invalid choice: 'nothing'"),
         (["--seconds", "nan"], "--seconds must be a positive number"),
         (["--seconds", "0"], "--seconds must be a positive number"),
         (["--", "--bogus"], "Unrecognized options: --bogus"),
@@ -925,7 +946,7 @@ def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
     "algorithms, flags", [(["mappo", "coma", "qmix", "maddpg"], []), (["iql"], ["--", "--no-parameter-sharing"])]
 )
 def test_training_speed(monkeypatch, capsys, algorithms, flags):
-    run_here(monkeypatch, training, "--env", "matrix-climbing", "--seconds", "0.1", "--algos", *algorithms, *flags)
+    run_here(monkeypatch, training, "--env", "matrix-climbing", "--seconds", "0.1", "--algorithms", *algorithms, *flags)
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == algorithms
     assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)

@@ -11,6 +11,7 @@ import json
 import os
 import pickle
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -27,7 +28,7 @@ from scripts import ROOT, load_module, trained
 from torch import nn
 
 import envs
-from envs import mpe, render, tasks
+from envs import mpe, render, runs, tasks
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("mpe-*.npz"))
 FULL = os.environ.get("ENVS_FULL") == "1"
@@ -522,6 +523,16 @@ def two_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     arguments = ["train_opponents.py", "--tasks", "mpe-tag", "--seeds", "0", "1", "--runs", str(tmp_path / "runs")]
     monkeypatch.setattr(sys, "argv", arguments)
     return tmp_path
+
+
+def test_an_interrupted_opponent_says_how_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
+) -> None:
+    """Not with --resume, which this program does not have."""
+    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: setattr(self, "received", signal.SIGINT))
+    with pytest.raises(SystemExit):
+        opponents.train("mpe-tag", 0, tmp_path / "run")
+    assert "; the same command goes on." in capsys.readouterr().err
 
 
 def test_the_best_candidate_is_installed_and_not_replaced_silently(two_runs: Path, monkeypatch: Any) -> None:

@@ -123,6 +123,17 @@ def test_films(tmp_path: Path) -> None:
         assert durations == [250] * 12 + [1000]
 
 
+def test_a_colour_of_few_frames_is_kept(tmp_path: Path) -> None:
+    """An event of one step among 100, such as a touch, beside pictures of many colours."""
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 200, (60, 60, 3), np.uint8) for _ in range(100)]
+    frames[33][:20, :20] = event = (250, 10, 90)
+    save_film(frames, tmp_path / "film.gif")
+    with Image.open(tmp_path / "film.gif") as film:
+        film.seek(33)
+        assert near(np.asarray(film.convert("RGB")), event) >= 400
+
+
 def test_films_that_cannot_be_made(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one frame"):
         save_film([], tmp_path / "film.gif")
