@@ -168,13 +168,13 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
 
 
 def title_of_family(family: str, rows: pd.DataFrame) -> str:
-    """A family's name, how many tasks its panel is made of, and on how many of them the algorithms were run."""
+    """A family's name, how many tasks its panel is made of, and on how many of them each algorithm was run."""
     tasks, each = rows["task"].nunique(), rows.groupby("algorithm")["task"].nunique()
     title = f"{FAMILIES[family]}, {tasks} task{'s' * (tasks != 1)}"
     if each.min() == tasks:
         return title
     most = f" to {each.max()}" if each.min() < each.max() else ""
-    return f"{title}, each algorithm on {each.min()}{most}"
+    return f"{title}, {each.min()}{most} each"
 
 
 def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:

@@ -178,8 +178,8 @@ class Report:
         total, runs = self.hours["total"].sum(), int(self.hours["runs"].sum())
         return (
             f"These {runs} runs, those with default flags, took {total:,.1f} CPU hours, {total / runs:.2f} a run. The "
-            f"paper's {PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC had "
-            "five cores each."
+            f"paper's {PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC "
+            "had five cores each."
         )
 
     def speed_table(self) -> str:

@@ -775,11 +775,11 @@ def test_a_report_of_changed_flags_alone(monkeypatch, tmp_path, capsys):
 
 def test_titles_say_on_how_many_tasks_algorithms_were_run():
     pairs = {"iql": "ab", "vdn": "ab"}
-    for more, title in (({}, "2 tasks"), ({"coma": "c"}, "3 tasks, each algorithm on 1 to 2")):
+    for more, title in (({}, "2 tasks"), ({"coma": "c"}, "3 tasks, 1 to 2 each")):
         rows = [(name, task) for name, tasks in (pairs | more).items() for task in tasks]
         assert plots.title_of_family("lbf", pd.DataFrame(rows, columns=["algorithm", "task"])) == f"LBF, {title}"
     rows = pd.DataFrame({"algorithm": ["iql", "vdn"], "task": ["a", "b"]})
-    assert plots.title_of_family("smac", rows) == "SMAC, 2 tasks, each algorithm on 1"
+    assert plots.title_of_family("smac", rows) == "SMAC, 2 tasks, 1 each"
 
 
 def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
