@@ -194,10 +194,13 @@ class TestNetworks:
         update_target(target, online, "soft", 7)
         torch.testing.assert_close(target.weight, 0.99 * before + 0.01 * online.weight)
         moved = target.weight.clone()
-        update_target(target, online, "hard", 199)
-        assert torch.equal(target.weight, moved)
-        update_target(target, online, "hard", 200)
-        assert torch.equal(target.weight, online.weight) and torch.equal(target.bias, online.bias)
+        for update in (1, 100, 199):
+            update_target(target, online, "hard", update)
+            assert torch.equal(target.weight, moved)
+        for update in (200, 400):
+            update_target(target, online, "hard", update)
+            assert torch.equal(target.weight, online.weight) and torch.equal(target.bias, online.bias)
+            torch.nn.init.normal_(online.weight)
 
     def test_gradient_norm_is_clipped_over_all_parameters(self):
         a, b = torch.nn.Parameter(torch.zeros(1)), torch.nn.Parameter(torch.zeros(1))
@@ -308,6 +311,28 @@ def test_the_target_follows_the_critic(monkeypatch, name):
     for old, online, target in moved:
         assert not torch.equal(old, online)
         torch.testing.assert_close(target, 0.99 * old + 0.01 * online)
+
+
+@pytest.mark.parametrize("network", ["fc", "gru"])
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_trained_and_how_fast(monkeypatch, name, network):
+    """The flags reach their parts; targets begin as copies; critics are never recurrent."""
+    flags = {"network": network, "learning_rate": 0.0123, "reward_standardisation": "running"}
+    parts = trained(monkeypatch, name, 0, **flags).parts
+    assert parts["standardiser"].method == "running"
+    optimised = []
+    for part, value in parts.items():
+        if part.endswith("optimiser"):
+            optimised += [id(weights) for group in value.param_groups for weights in group["params"]]
+            assert [group["lr"] for group in value.param_groups] == [0.0123]
+            continue
+        recurrent = any(isinstance(module, torch.nn.GRU) for module in value.modules())
+        assert recurrent == (network == "gru" and part.endswith("agents")), part
+        if part.startswith("target_"):
+            online = parts[part.removeprefix("target_")]
+            assert all(torch.equal(a, b) for a, b in zip(value.parameters(), online.parameters(), strict=True))
+    learning = [value for part, value in parts.items() if not part.startswith("target_") and "optimiser" not in part]
+    assert sorted(optimised) == sorted(id(weights) for value in learning for weights in value.parameters())
 
 
 @pytest.mark.parametrize("name", NAMES)

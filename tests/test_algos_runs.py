@@ -257,6 +257,21 @@ def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
+def test_updates_are_counted_on_after_a_resume(monkeypatch, capsys, tmp_path):
+    """By their number the targets are copied."""
+    for updates in (3, 6):
+        stop_after(monkeypatch, capsys, "mappo", tmp_path / "run", 3)
+        assert runs.read_checkpoint(tmp_path / "run", "mappo")["updates"] == updates
+
+
+def test_a_batch_beyond_the_end_adds_no_evaluations(monkeypatch, capsys, tmp_path):
+    """The last batch of ten episodes goes several evaluation points further."""
+    flags = [*short("mappo"), "--total-timesteps", 100, "--run-dir", tmp_path / "run"]
+    assert main(monkeypatch, capsys, "mappo", *flags)[0] == 0
+    rows = evaluations(tmp_path / "run")
+    assert len(rows) == 11 and int(rows[-1]["timestep"]) > 130
+
+
 def test_the_replay_keeps_what_the_checkpoint_before_refers_to(monkeypatch, capsys, tmp_path):
     """The last checkpoint is damaged, and since then the replay has gone on; the one before finds all its episodes."""
     assert main(monkeypatch, capsys, "vdn", *short("vdn"), "--run-dir", tmp_path / "whole")[0] == 0

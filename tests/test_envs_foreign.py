@@ -169,6 +169,7 @@ def test_max_episode_steps_cuts_episodes(limit: int) -> None:
         ("lists", 3, 4, [1, 3], (True, False)),
         ("clock", 4, 4, [1, 3], (False, True)),  # it says "terminated" in its last step
         ("masks", 5, 4, [1, 3], (False, True)),
+        ("one by one", 3, 4, [1, 3], (True, False)),  # it goes on until both are done
     ],
 )
 def test_tuples(variant: str, steps: int, reward: float, own: list[float], ends: tuple[bool, bool]) -> None:
@@ -185,6 +186,28 @@ def test_tuples(variant: str, steps: int, reward: float, own: list[float], ends:
         expected = [[1, 0, 0], [0, 1, 1]] if variant == "masks" else [[1, 1, 0], [1, 1, 1]]
         assert info["action_mask"][0].astype(int).tolist() == expected
     assert (terminated[0], truncated[0]) == ends
+
+
+def test_an_end_in_the_last_step_of_a_time_limit_of_gymnasiums() -> None:
+    """The wrapper then sets both flags; that one of them is the environment's own says that the end is real."""
+    for variant, ends in (("lists", (True, False)), ("", (False, True))):
+        env = envs.make("gymnasium:ThreeTuples-v0", 1, env_kwargs={"variant": variant})
+        env.reset()
+        for _ in range(3):
+            *_, terminated, truncated, _ = env.step([[1, 0]])
+        assert (terminated[0], truncated[0]) == ends
+
+
+def test_the_last_agents_leave_for_different_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Agent 1 with a termination, agent 2 by the clock: the episode timed out."""
+    monkeypatch.setattr(Queue, "max_cycles", 3)
+    env = envs.make("pettingzoo:toy_queue", 1)
+    env.reset()
+    flags = [env.step([[0, 0, 0]])[2:4] for _ in range(3)]
+    assert [(bool(terminated[0]), bool(truncated[0])) for terminated, truncated in flags] == [
+        *[(False, False)] * 2,
+        (False, True),
+    ]
 
 
 def test_one_agent() -> None:

@@ -637,6 +637,42 @@ def test_an_episode_depends_on_seed_index_and_number_alone() -> None:
     assert few.state_size == few.state.shape[1] and not few.state_is_observations
 
 
+@pytest.mark.parametrize("suffix", ["", "-sc2"])
+def test_an_episode_begins_unhurt(suffix: str) -> None:
+    """After a battle in which medivacs healed, all of what the rules read is as in an environment that is new."""
+    fought, fresh = make(f"MMM2{suffix}"), make(f"MMM2{suffix}")
+    medivac = fought.unit_names.index("medivac")
+    for _ in range(60):
+        fought.step(battles.attack_nearest(fought, np.random.default_rng(0)))
+    fought.game.unit[0, medivac].bought += 1
+    assert fought.game.unit[0, medivac].energy < smaclite.ENERGY
+    fought.reset()
+    for name in (
+        "x",
+        "y",
+        "velocity_x",
+        "velocity_y",
+        "hp",
+        "shield",
+        "energy",
+        "bought",
+        "cooldown",
+        "quiet",
+        "order",
+    ):
+        np.testing.assert_array_equal(fought.game.unit[name], fresh.game.unit[name], err_msg=name)
+    np.testing.assert_array_equal(fought.game.unit["target"], fresh.game.unit["target"])
+
+
+def test_a_victory_in_the_last_step_is_no_time_out() -> None:
+    env = make("3m")
+    unit = put(env, {0: (9, 16), 3: (11, 16)})
+    unit[3].hp = 1
+    env.game.steps[:] = env.episode_limit - 1
+    *_, terminated, truncated, _ = env.step([[ATTACK, 0, 0]])
+    assert (terminated[0], truncated[0]) == (True, False)
+
+
 def test_the_time_limit_is_a_truncation() -> None:
     env = make("3m")
     put(env, {0: (2, 16), 3: (30, 16)})

@@ -144,6 +144,18 @@ def test_totals_of_episodes_of_unequal_length() -> None:
     assert np.isnan(totals.means()["steps"])
 
 
+def test_totals_of_a_team_of_two() -> None:
+    """A team's return is the mean over its members."""
+    env = envs.make(TASKS[0], 2)
+    env.teams = (0, 1, 1)
+    env.n_agents = 3
+    totals = envs.EpisodeTotals(env)
+    ends, none = np.array([True, True]), np.zeros(2, bool)
+    own = np.array([[1, 2, 4], [1, 6, 8]], np.float32)
+    totals.add(np.ones(2, np.float32), ends, none, {"agent_rewards": own, "statistics": {}})
+    assert totals.means()["team_1_return_mean"] == 5
+
+
 def test_a_seed_of_numpy_is_one_too() -> None:
     env = envs.make("lbf-5x5-2p-1f", seed=np.int64(3))  # type: ignore[arg-type]
     env.reset(seed=np.int64(4))  # type: ignore[arg-type]
@@ -199,9 +211,9 @@ def test_restoring_the_episode_number(name: str) -> None:
         env.reset()
         play(env, 5)
     assert env.episode == 3
-    for mask in ([True, False, False], [True, False, True]):
+    for mask in ([False, True, False], [False, True, True]):
         env.reset(options={"reset_mask": np.array(mask)})
-    assert env.episode == 5  # sub-environment 0 has begun five, the others three and four
+    assert env.episode == 5  # sub-environment 1 has begun five, the others three and four
     restored = envs.make(name, 3, seed=1)
     restored.episode = env.episode
     for _ in range(2):

@@ -82,6 +82,8 @@ class Tuples(gymnasium.Env):
         masks: Any = {"masks": [[1, 0], [0, 1, 1]], "one mask": [1, 0, 1], "masks by number": {0: [1, 0], 1: [0, 1, 1]}}
         info = {"action_mask": masks[self.variant]} if self.variant in masks else {}
         done: Any = [self.steps == 3] * 2 if self.variant == "lists" else self.steps == 4 and self.variant == "clock"
+        if self.variant == "one by one":
+            done = [self.steps >= 2, self.steps == 3]
         if self.variant == "flags by number":
             done = {0: False, 1: False}
         seen = (np.full(1, self.steps, np.float32), self.steps)
@@ -183,3 +185,4 @@ class Odd(Queue):
 
 
 gymnasium.register("Tuples-v0", lambda **kwargs: Tuples(**kwargs))
+gymnasium.register("ThreeTuples-v0", lambda **kwargs: Tuples(**kwargs), max_episode_steps=3)
