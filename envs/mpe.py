@@ -763,7 +763,7 @@ class Env(vector.VectorEnv):
             canvas.text(*pixel(place), str(i), min(max(1.3 * scale * self.config.radius[i], 12), 24), render.WHITE)
         if self.game.symbol[index] >= 0:
             x, y = pixel(agents[SPEAKER])
-            canvas.line(x, y, x + 24, y - 26, render.INK, 2)
+            canvas.line(x + 12, y - 13, x + 24, y - 26, render.INK, 2)  # not over its number
             canvas.circle(x + 28, y - 32, 14, render.WHITE, render.INK, 2)
             canvas.text(x + 28, y - 32, "ABC"[self.game.symbol[index]], 17)
 
