@@ -480,12 +480,14 @@ class TestWrongInput:
             said = self.refused(monkeypatch, capsys, *flags, directory, "--resume")
         assert "Another run is using" in self.one_sentence(said)
 
-    @pytest.mark.parametrize("change", [["--gamma", "0.5"], ["--no-parameter-sharing"], ["--individual-rewards"]])
+    @pytest.mark.parametrize(
+        "change", [["--gamma", "0.5"], ["--seed", "1"], ["--no-parameter-sharing"], ["--individual-rewards"]]
+    )
     def test_resume_with_other_flags(self, mappo_run, monkeypatch, capsys, change):
         """The flags that are named are real ones."""
         flags, directory = mappo_run
         said = self.one_sentence(self.refused(monkeypatch, capsys, *flags, directory, "--resume", *change))
-        named = {"--gamma": "--gamma 0.99", "--no-parameter-sharing": "--parameter-sharing"}
+        named = {"--gamma": "--gamma 0.99", "--seed": "--seed 0", "--no-parameter-sharing": "--parameter-sharing"}
         assert f"begun with {named.get(change[0], '--no-individual-rewards')}" in said
 
     def test_resume_with_fewer_timesteps(self, mappo_run, monkeypatch, capsys):

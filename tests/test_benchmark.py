@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from scipy.stats import ttest_ind
 from scripts import NAMES, ROOT
 
 import aggregate
@@ -101,8 +102,10 @@ def test_a_seed_with_other_returns_is_kept_unless_it_is_replaced(tmp_path):
     there = tmp_path / "results"
     collect.collect_run(make_run(tmp_path / "first"), there)
     make_run(tmp_path / "second", returns=(0.0, 11.0))
-    done = run("collect.py", tmp_path / "second", "--results", there)
-    assert done.returncode == 2 and "has a seed 0 with other returns" in done.stderr
+    make_run(tmp_path / "third", returns=(1.0, 10.5))
+    for other in ("second", "third"):
+        done = run("collect.py", tmp_path / other, "--results", there)
+        assert done.returncode == 2 and "has a seed 0 with other returns" in done.stderr
     assert table(there)[-1]["return_mean"] == "10.5"
     assert run("collect.py", tmp_path / "second", "--results", there, "--replace").returncode == 0
     assert table(there)[-1]["return_mean"] == "11.0" and len(table(there)) == 2
@@ -388,6 +391,25 @@ def test_a_seed_counts_once_the_settings_list_it(tmp_path):
     assert len(results.load(tmp_path / "results")) == 4
 
 
+def test_a_later_seed_may_lack_a_flag(tmp_path):
+    """Of a script that has lost it; the settings keep what all seeds were made with."""
+    collect.collect_run(make_run(tmp_path / "0", 0, gone=3), tmp_path / "results")
+    path = collect.collect_run(make_run(tmp_path / "1", 1), tmp_path / "results")
+    assert json.loads(path.with_suffix(".json").read_text())["flags"]["gone"] == 3
+
+
+def test_each_seed_must_reach_the_end(tmp_path):
+    for seed in (0, 1):
+        path = collect.collect_run(make_run(tmp_path / str(seed), seed), tmp_path / "results")
+    text = path.read_text()
+    for row in (2, 4):
+        lines = text.splitlines()
+        lines[row] = lines[row].replace("2500000", "2000000")
+        path.write_text("\n".join(lines) + "\n")
+        with pytest.raises(ValueError, match="the last evaluations are missing"):
+            results.load(tmp_path / "results")
+
+
 # ---------------------------------------------------------------------------------------------------- what tables say
 
 
@@ -511,6 +533,48 @@ def test_asterisks_by_the_t_test():
     assert tables.marks(row) == ["best", "not significantly different", ""]
     assert not tables.same_mean(1.0, np.nan, 1, 0.99, 0.2, 5)
     assert tables.same_mean(1.0, 0.0, 5, 1.0, 0.0, 5) and not tables.same_mean(1.0, 0.0, 5, 0.9, 0.0, 5)
+    few, many = np.array([1.0, 2.2]), np.array([0.0, 0.5, 0.3, 0.8, 0.9])  # unequal numbers of seeds: p = 0.047
+    cells = [(runs.mean(), results.interval(runs.std(ddof=1), len(runs)), len(runs)) for runs in (few, many)]
+    assert ttest_ind(few, many).pvalue < 0.05 and not tables.same_mean(*cells[0], *cells[1])
+    close = evaluations([[0, 8], [0, 9], [0, 10]]), evaluations([[0, 8], [0, 9], [0, 9.9]], algorithm="ia2c")
+    text = tables.markdown(compared(*close), "max_return", True)
+    assert "| **9.00 ± 1.15** ³ |" in text and r"| 8.97 ± 1.10\* ³ |" in text
+
+
+def test_what_cannot_be_is_shown_and_does_not_count():
+    """The paper's IQL on 10x10-3p-3f without sharing has an average above its maximum."""
+    both = compared(evaluations([[1, 2]] * 5, task="lbf-10x10-3p-3f", algorithm="iql", sharing=False))
+    lines = tables.markdown(both, "max_return", False).splitlines()
+    assert "‡" in lines[3] and lines[4].split("|")[3].strip() == "-"
+    whole = report.Report.__new__(report.Report)
+    whole.both = both
+    assert not whole.comparable().any()
+
+
+def test_the_short_table_is_of_shared_parameters():
+    both = compared(evaluations([[1, 9]] * 5), evaluations([[1, 4]] * 5, sharing=False))
+    assert "9.00" in tables.short(both) and "4.00" not in tables.short(both)
+
+
+def test_numbers():
+    assert tables.number(-0.001, np.nan) == "0.00" and tables.number(-0.5, 0.25) == "-0.50 ± 0.25"
+
+
+def test_of_other_budgets_the_longest_is_shown():
+    runs = [evaluations([[1, k]], changed={"total_timesteps": 5_000_000 * k}, budget=5_000_000 * k) for k in (1, 3, 2)]
+    assert set(results.in_tables(pd.concat(runs))["total_timesteps"]) == {15_000_000}
+
+
+def test_what_a_task_stands_in_for():
+    names = {"smaclite-3s5z-sc2": "smac-3s5z", "smaclite-3s5z": "smaclite-3s5z", "lbf-8x8-2p-2f-c": "lbf-8x8-2p-2f-c"}
+    assert {name: results.paper_task(name) for name in names} == names
+    runs = evaluations([[0, 4]], task="smaclite-3s5z-sc2")
+    assert list(aggregate.normalise(runs)["normalised"]) == [0, 1]
+
+
+def test_a_maximum_before_training_marks_no_average():
+    cells = results.our_cells(evaluations([[9, 4], [9, 4]]))
+    assert set(cells[cells["at_start"]]["metric"]) == {"max_return"}
 
 
 def test_win_rates_have_their_own_best_point():
@@ -529,6 +593,37 @@ def test_normalised_by_the_range_over_both_sharings():
     assert aggregate.normalise(evaluations([[3, 3]])).empty  # nothing ever changed
     assert aggregate.normalise(evaluations([[0, 4]], task="lbf-9x9-2p-2f")).empty  # not in the paper
     assert aggregate.normalise(evaluations([[0, 4]], changed={"network": "gru"})).empty
+
+
+def test_final_scores_are_those_of_the_last_point():
+    runs = aggregate.normalise(evaluations([[0, 4, 1], [0, 2, 3]]))
+    assert aggregate.final_scores(runs)["mappo", True]["matrix-climbing"].tolist() == [0.25, 0.75]
+
+
+def test_intervals_of_the_bootstrap_leave_a_fortieth_out_at_each_end():
+    """The samples are 0, 1, ..., 2000; the measure looks at them alone."""
+
+    def measure(scores):
+        return np.arange(len(scores[0]), dtype=float)
+
+    assert aggregate.with_interval(measure, [np.zeros(3)])[1:].tolist() == pytest.approx([49.975, 1949.025])
+
+
+def test_means_with_and_without_sharing_by_hand():
+    """Two algorithms on one task, ranging from 0 to 4; runs with another budget do not count."""
+    values = {("mappo", True): 4, ("mappo", False): 0, ("ia2c", True): 2, ("ia2c", False): 4, ("coma", True): 3}
+    rows = [("max_return", *key, "matrix-climbing", float(value), False) for key, value in values.items()]
+    rows.append(("max_return", "qmix", True, "matrix-climbing", 99.0, True))
+    columns = ["metric", "algorithm", "sharing", "task", "mean", "other_budget"]
+    means = aggregate.sharing_means(pd.DataFrame(rows, columns=columns))
+    assert means.loc[("matrix", True), ["mean", "count"]].tolist() == [0.75, 2]  # coma has no other half
+    assert means.loc[("matrix", True), "error"] == pytest.approx(0.25)  # 1 and 0.5: s = 0.354, s / sqrt(2)
+    assert means.loc[("matrix", False), "error"] == pytest.approx(0.5)
+
+
+def test_cpu_hours_are_those_at_the_end_of_a_run():
+    runs = evaluations([[0, 1, 2]] * 2).assign(cpu_seconds=[0, 1800, 3600, 0, 3600, 7200])
+    assert aggregate.cpu_hours(runs).loc[("matrix", "mappo", True)].tolist() == [2, 3, 1.5]
 
 
 def test_interquartile_mean_by_hand():

@@ -102,7 +102,8 @@ def write_tables(directory, args, rows):
     names = ("total_timesteps", "learning_rate", "pace", "trouble")
     changed = {name: value for name, value in vars(args).items() if name in names and value != getattr(Args(), name)}
     config = {"algorithm": ALGORITHM, "flags": vars(args), "changed": changed, "paper_timesteps": 40, "commit": None}
-    whole(directory / "config.json", json.dumps(config | {"version": "0", "preloaded": os.environ.get("LD_PRELOAD")}))
+    config |= {"preloaded": os.environ.get("LD_PRELOAD"), "omp": os.environ.get("OMP_NUM_THREADS")}
+    whole(directory / "config.json", json.dumps(config | {"version": "0"}))
     names = "point timestep wall_seconds cpu_seconds return_mean return_std episode_length".split()
     whole(directory / "evaluations.csv", "".join(",".join(map(str, row)) + "\\n" for row in [names, *rows]))
 
@@ -143,6 +144,8 @@ def main():
             os._exit(9)  # told twice, it loses its checkpoint
         if stopped:
             time.sleep(0.2)
+            if len(stopped) > 1:
+                os._exit(9)
             save(directory, args, timestep, rows)
             sys.exit(128 + stopped[0])
         if args.trouble == f"fails{args.seed}":
@@ -321,6 +324,28 @@ class TestRunning:
         assert before == {path: path.stat().st_mtime_ns for path in Path("runs").rglob("*")}
         assert campaign(monkeypatch, *words[:3], "--seeds", 3, "--runs", "others") == 0  # two are in the results
         assert sorted(path.name for path in Path("others").rglob("seed*")) == ["seed2", "seed2"]
+
+    def test_each_run_has_one_thread(self, monkeypatch):
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert json.loads((folder_of(0) / "config.json").read_text())["omp"] == "1"
+
+    def test_a_run_of_another_seed_is_told_apart(self):
+        first, second = make_plan("ia2c", "matrix-climbing", seeds=2)
+        first.directory.mkdir(parents=True)
+        config = {"changed": {}, "flags": {"seed": second.seed}}
+        (first.directory / "config.json").write_text(json.dumps(config))
+        with pytest.raises(ValueError, match="holds a run with another seed"):
+            plan.check_same_flags(first)
+
+    def test_a_first_checkpoint_that_was_being_written_is_nothing(self):
+        (run,) = make_plan("ia2c", "matrix-climbing")
+        run.directory.mkdir(parents=True)
+        (run.directory / "checkpoint.new.pt").write_text("half of it")
+        assert plan.condition(run) == "new"
+        (run.directory / "checkpoint.new.pt").rename(run.directory / "checkpoint.pt")
+        with pytest.raises(plan.Damaged, match="no checkpoint that can be read"):
+            plan.condition(run)
 
     def test_what_is_complete_is_collected(self, monkeypatch):
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
@@ -694,6 +719,12 @@ class TestFastMKL:
         config = json.loads((folder_of(0) / "config.json").read_text())
         assert config["preloaded"] == str(library)
 
+    def test_what_is_preloaded_already_stays(self, monkeypatch):
+        monkeypatch.setattr(fast_mkl, "build", lambda: Path("/fast-mkl.so"))
+        for before, after in (("", "/fast-mkl.so"), ("/x.so", "/fast-mkl.so:/x.so"), ("/fast-mkl.so:/y", None)):
+            monkeypatch.setenv("LD_PRELOAD", before)
+            assert fast_mkl.preload() == (after or before)
+
     def test_without_a_home(self, monkeypatch):
         def no_home(path):
             raise RuntimeError("Could not determine home directory.")
@@ -892,6 +923,29 @@ class TestSearch:
         ]
         ranking = search.ranked(pd.DataFrame(rows))
         assert list(ranking["setting"]) == ["C", "B", "A"] and list(ranking["score"]) == [4.5, 4.0, 4.0]
+
+    def test_a_search_has_a_folder_of_its_own(self, monkeypatch):
+        """Its runs are no part of the benchmark."""
+        Path("small.csv").write_text("algorithms,families,flag,values\nia2c,matrix,learning_rate,0.25 0.5\n")
+        monkeypatch.setattr(run, "RESULTS", Path("benchmark/results").resolve())
+        words = ["--algorithms", "ia2c", "--tasks", "matrix-climbing", "--grid", "small.csv", "--seeds", "1"]
+        monkeypatch.setattr(sys, "argv", ["run.py", *words])
+        monkeypatch.setattr(run, "SIGNALS", [])  # the handlers of this process stay
+        assert run.run_campaign(run.parse()) == 0
+        tables = sorted(path.name for path in Path("benchmark").rglob("*.csv"))
+        assert tables == ["ia2c-shared-learning-rate=0.25.csv", "ia2c-shared.csv"]
+        assert [path.name for path in Path("benchmark").iterdir()] == ["searches"]
+
+    def test_one_variant_with_fewer_seeds_makes_a_search_incomplete(self, monkeypatch):
+        for rate, seeds in ((0.25, 3), (1.0, 2)):
+            assert campaign(monkeypatch, "--seeds", seeds, "--", "--learning-rate", rate) == 0
+        assert "The search is not complete" in search.search_report(Path("results"))
+        assert campaign(monkeypatch, "--seeds", 3, "--", "--learning-rate", 1.0) == 0
+        assert "The search is not complete" not in search.search_report(Path("results"))
+
+    def test_the_papers_choice_may_be_looked_at_more_often(self):
+        assert search.is_the_papers('{"eval_points": 5, "total_timesteps": 10}')
+        assert not search.is_the_papers('{"network": "gru"}')
 
     def test_what_is_missing_is_said(self, monkeypatch):
         flags = ["--", "--learning-rate", "0.25", "--total-timesteps", "20"]
