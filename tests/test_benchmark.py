@@ -728,6 +728,38 @@ def test_what_the_claims_words_mean():
         view.same("iql", "qmix", task)  # single seeds
 
 
+def judged_cells(values, metric="max_return", seeds=5):
+    """Cells of five seeds with small intervals; values: by task, of algorithms that are named; of the others 0."""
+    rows = [
+        (metric, True, task, algorithm, float(named.get(algorithm, 0)), 0.001, seeds)
+        for task, named in values.items()
+        for algorithm in results.ALGORITHMS
+    ]
+    return pd.DataFrame(rows, columns=["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"])
+
+
+def test_the_limits_of_competitive_and_similar():
+    view = claims.View(judged_cells({"t": {"mappo": 1, "ippo": 0.81, "ia2c": 0.77, "coma": 0.72, "iql": 0.62}}))
+    assert view.competitive("ippo", "t") and not view.competitive("ia2c", "t")
+    assert view.similar("ippo", "coma", "t") and not view.similar("ia2c", "iql", "t")
+
+
+def test_claims_about_averages_look_at_averages():
+    ippo_wins = {task: {"ippo": 2, "ia2c": 1} for task in claims.RWARE}
+    ia2c_wins = {task: {"ippo": 1, "ia2c": 2} for task in claims.RWARE}
+    both = pd.concat([judged_cells(ippo_wins, "average_return"), judged_cells(ia2c_wins)])
+    assert claims.ippo_ia2c_on_average(claims.View(both)).figures.startswith("1 of 4 families")
+
+
+def test_few_seeds_are_said_of_the_claims_that_have_them():
+    parts = judged_cells({task: {} for task in claims.LBF}, seeds=2), judged_cells({task: {} for task in claims.RWARE})
+    said = {claim[1]: verdict.figures for claim, verdict in zip(claims.CLAIMS, claims.judge(pd.concat(parts)))}
+    few = "some from fewer than five seeds"
+    assert said["QMIX is not above VDN in most LBF tasks."].endswith(few)
+    of_rware = said["VDN and QMIX are significantly worse than IA2C, IPPO, MAA2C and MAPPO in RWARE."]
+    assert of_rware and not of_rware.endswith(few)
+
+
 def test_a_claim_is_decided_once_missing_tasks_cannot_change_it():
     def test(task):
         if task == "missing":

@@ -23,6 +23,7 @@ EXAMPLES = ["own:examples.meeting_numpy", "own:examples.meeting_compiled", "pett
 TASKS = [
     "matrix-climbing",
     "lbf-6x6-2p-2f",
+    "lbf-5x5-4p-1f-c",  # the food's level is above every coordinate
     "rware-tiny-2p",
     "mpe-speaker-listener",
     "mpe2-tag-selfplay",
