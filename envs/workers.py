@@ -27,13 +27,13 @@ def ignore_stops(connection: Connection) -> None:
 
     A closed terminal and `timeout` signal a group of processes; systemd and Slurm signal every single one.
     """
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
     if not hasattr(signal, "pthread_sigmask"):  # Windows has neither groups nor masks
         return
     os.setsid()
     ended = select.poll()
     ended.register(connection, 0)  # of its events only the end, which is always reported
-    for number in STOPS:
-        signal.signal(number, signal.SIG_IGN)
     # A game that hangs in a call does not see the connection's end: the parent then sends SIGTERM. The exit closes it.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit() if ended.poll(0) else None)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
