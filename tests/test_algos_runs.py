@@ -570,15 +570,19 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
 
 
 def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys):
-    """Those of the seed."""
-    name, directory = finished
-    returns = np.zeros(3)
+    """Those of the seed, played by a team that has drawn nothing yet."""
+    (name, directory), returns, film = finished, np.zeros(3), envs.film
+
+    def film_of_a_fresh_team(env, team, *others):
+        assert torch.equal(team.rng.get_state(), torch.Generator().manual_seed(5).get_state())
+        return film(env, team, *others)
 
     def frame(env, index):
         assert env.seed == 5
         returns[index] += env.rewards[index]
         return np.zeros((4, 4, 3), np.uint8)
 
+    monkeypatch.setattr(envs, "film", film_of_a_fresh_team)
     monkeypatch.setattr(lbf.Env, "frame", frame)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(directory), "--eval-episodes", "3", "--seed", "5"])
     script(name).main()
