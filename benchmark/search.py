@@ -75,7 +75,8 @@ def in_words(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) ->
     budget = f"{steps:,} timesteps" + ("" if steps == paper_timesteps else f" (the paper: {paper_timesteps:,})")
     names = searched_flags(variants)
     winner = ", ".join(f"{name} {variants[0][name]}" for name in names) or "the only variant"
-    text = [f"{len(rows)} variants, {runs} runs of {budget}. The winner: {winner}."]
+    many = "1 variant" if len(rows) == 1 else f"{len(rows)} variants"
+    text = [f"{many}, {runs} {'run' if runs == 1 else 'runs'} of {budget}. The winner: {winner}."]
     equals = (rows["score"] == rows["score"].iloc[0]).sum()
     if equals > 1:
         text.append(f"{equals} variants have its score; among them the average return decides.")

@@ -126,8 +126,9 @@ def unknown(name: str) -> str:
         return f"unknown task {name!r}; here it is called {' or '.join(here)}. {table}."
     if translations:
         return f"unknown task {name!r}; this project does not have that game{refusal(translations[-1])}. {table}."
+    small = name.lower()
     spelled = {ours.lower(): ours for ours in PAPER_TASKS}
-    near = [spelled[ours] for ours in difflib.get_close_matches(name.lower(), spelled)]
+    near = [small] if refusal(small) is None else [spelled[ours] for ours in difflib.get_close_matches(small, spelled)]
     if near:
         return f"unknown task {name!r}; did you mean {' or '.join(near)}? {table}."
     return f"unknown task {name!r}. {table}."

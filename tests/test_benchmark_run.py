@@ -19,6 +19,7 @@ import tempfile
 import termios
 import threading
 import time
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -406,6 +407,18 @@ class TestRunning:
         begun = {name: int(log.split()[2]) for name, log in logs.items()}
         assert 0 < begun["log-seed0.txt"] < 40 and begun["log-seed1.txt"] == 0
 
+    def test_a_run_whose_node_was_lost_goes_on_first(self):
+        """Others would only add to the runs that are half done."""
+        runs = make_plan("ia2c", "matrix-climbing", seeds=3)
+        work = run.Campaign(runs, Path(), Path("results"), None, None, SimpleNamespace(say=lambda text: None))
+        work.waiting.popleft()
+        for _ in range(run.MOST_LOSSES):
+            work.try_again(runs[0], None)
+            assert list(work.waiting) == runs
+            work.waiting.popleft()
+        work.try_again(runs[0], None)
+        assert list(work.waiting) == runs[1:] and work.failed == {runs[0].directory: "its node was lost 4 times"}
+
     @pytest.mark.parametrize("error", ["ENOSPC", "EDQUOT"])
     def test_a_full_disk_ends_the_campaign(self, monkeypatch, capsys, error):
         assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", error) == 1
@@ -675,6 +688,22 @@ class TestDryRun:
         assert "with --jobs 9 about 1:00:00" in capsys.readouterr().out  # one run, however many there could be
         assert not list(Path("runs").rglob("*total-timesteps*"))
 
+    def test_what_is_done_of_a_run_needs_no_hours(self, monkeypatch, capsys):
+        steps = 36_000_000
+        flags = ["--dry-run", "--seeds", 1, "--", "--total-timesteps", steps]
+        begun = folder_of(0, f"ia2c-shared-total-timesteps={steps}")
+        begun.mkdir(parents=True)
+        zipfile.ZipFile(begun / "checkpoint.pt", "w").close()
+        config = {"changed": {"total_timesteps": steps}, "flags": {"seed": 0}}
+        progress = {"timestep": steps // 4, "total_timesteps": steps, "steps_per_second": 1.0, "training_return": 1.0}
+        (begun / "config.json").write_text(json.dumps(config))
+        (begun / "progress.json").write_text(json.dumps(progress | {"evaluation_return": None}))
+        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
+        assert campaign(monkeypatch, *flags) == 0
+        said = capsys.readouterr().out
+        assert "seed 0: begun" in said and "10,000 steps/s, 0.75 core hours" in said
+
     def test_nothing_is_left(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert campaign(monkeypatch, "--seeds", 1, "--dry-run") == 0
@@ -873,6 +902,42 @@ class TestRay:
         assert cluster.read_files(directory, 5) == {}
         assert sorted(cluster.read_files(directory, 100)) == ["checkpoint.pt", "replay.bin"]
 
+    def test_checkpoints_arrive_last(self, monkeypatch, tmp_path, no_cluster):
+        """Cut short after any file, the directory has no checkpoint, or whole ones and all that they refer to."""
+        import cluster
+
+        order = []
+        replace = Path.replace
+
+        def noted(path, target):
+            order.append((target.name, sorted(other.name for other in tmp_path.glob("checkpoint*.pt"))))
+            return replace(path, target)
+
+        monkeypatch.setattr(Path, "replace", noted)
+        for name in ("checkpoint.pt", "checkpoint.new.pt"):
+            (tmp_path / name).write_text("old")
+        names = ["checkpoint.pt", "checkpoint.previous.pt", "config.json", "replay.bin"]
+        cluster.write_files(tmp_path, {name: [b"new"] for name in names})
+        assert [name for name, _ in order[:2]] == ["config.json", "replay.bin"]
+        assert order[2:] == [("checkpoint.previous.pt", []), ("checkpoint.pt", ["checkpoint.previous.pt"])]
+
+    def test_a_checkpoint_that_changes_meanwhile_does_not_travel(self, tmp_path, no_cluster):
+        import cluster
+
+        directory = tmp_path / "run"
+        directory.mkdir()
+        (directory / "checkpoint.pt").write_text("old")
+        (tmp_path / "new").write_text("new")
+
+        def put(piece):
+            if (tmp_path / "new").exists():
+                (tmp_path / "new").replace(directory / "checkpoint.pt")
+            return piece
+
+        no_cluster.put = put
+        assert cluster.read_files(directory) == {}
+        assert cluster.read_files(directory) == {"checkpoint.pt": [b"new"]}
+
     def test_a_run_that_cannot_begin_says_why(self, monkeypatch, capsys, nodes):
         """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
         import cluster
@@ -960,7 +1025,7 @@ class TestSearch:
             assert campaign(monkeypatch, "--seeds", 1, *flags) == 0
         said = search.search_report(Path("results"))
         assert "2 variants, 2 runs of 20 timesteps (the paper: 40). The winner: learning_rate 1.0." in said
-        assert "1 variants, 1 runs of 60 timesteps (the paper: 40). The winner: the only variant." in said
+        assert "1 variant, 1 run of 60 timesteps (the paper: 40). The winner: the only variant." in said
 
     def test_a_flag_that_only_later_scripts_have(self, monkeypatch):
         for rate in (0.25, 1.0):

@@ -135,6 +135,57 @@ class NoSeed(Meeting):
         super().reset_env(e, np.random.default_rng())
 
 
+class NoSeedLast(Meeting):
+    """Right but for the last sub-environment, as the next two."""
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, np.random.default_rng() if e == 2 else rng)
+
+
+class CountsLast(Meeting):
+    count = 0
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        self.count += e == 2
+        super().reset_env(e, np.random.default_rng(self.count) if e == 2 else rng)
+
+
+class ResetsLast(Meeting):
+    def reset_envs(self, mask: Any, seed: Any, episodes: Any) -> None:
+        super().reset_envs(mask | (np.arange(self.num_envs) == 2), seed, episodes)
+
+
+class EarnsOn(Meeting):
+    def _outcome(self) -> Any:
+        self.agent_rewards[~self._playing] = 1
+        return super()._outcome()
+
+
+class KeepsFlags(Meeting):
+    def reset_envs(self, mask: Any, seed: Any, episodes: Any) -> None:
+        super().reset_envs(mask, seed, episodes)
+        self.terminated[mask] = 0 < mask.sum() < self.num_envs
+
+
+class VagueError(Meeting):
+    def step(self, actions: Any) -> Any:
+        try:
+            return super().step(actions)
+        except ValueError:
+            raise ValueError("a wrong action") from None
+
+
+class NoStatistics(Meeting):
+    def _outcome(self) -> Any:
+        *arrays, info = super()._outcome()
+        return (*arrays, {name: value for name, value in info.items() if name != "statistics"})
+
+
+class CopiesAlways(Meeting):
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, True)
+
+
 class OneGenerator(Meeting):
     """All sub-environments draw from the same generator."""
 
@@ -215,6 +266,14 @@ CELLS = meeting_numpy.CELLS
         (TakesAnything, "A step with an action that does not exist must raise ValueError."),
         (MovesFirst, "A step with an action that does not exist changes the environment"),
         (NoSeed, "The same seed does not play the same episodes"),
+        (NoSeedLast, "The same seed does not play the same episodes"),
+        (CountsLast, "After env.episode = 2, a reset does not begin episode 2"),
+        (ResetsLast, "changes sub-environments that the mask does not name"),
+        (EarnsOn, "A sub-environment that has finished still earns rewards."),
+        (KeepsFlags, "does not take down the flag of a sub-environment that it names"),
+        (VagueError, "must name sub-environment, agent and action; it says: a wrong action"),
+        (NoStatistics, "The info lacks statistics."),
+        (CopiesAlways, "With copy=False, a step must return the environment's own arrays."),
         (OneGenerator, "Sub-environment 0 plays something else when there are others beside it."),
         (CountsItself, "After env.episode = 2, a reset does not begin episode 2"),
         (ResetsAll, "changes sub-environments that the mask does not name"),

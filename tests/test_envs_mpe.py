@@ -350,11 +350,11 @@ def test_statistics_of_spread_and_tag() -> None:
     env = make("mpe-spread", 2)
     env.reset()
     corners = np.array([[0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
-    place(env, 0, corners + np.array([0.05, 0]), corners)  # each on its landmark
+    place(env, 0, corners + np.array([[0.09, 0], [0.11, 0], [0, 0.05]]), corners)  # two of them on their landmarks
     row = [[0, 0], [0.28, 0], [0.56, 0]]  # neighbours touch, and press on
     place(env, 1, row, corners, velocities=[[1, 0], [0, 0], [-1, 0]])
     statistics = env.step([[0, 0, 0]] * 2)[-1]["statistics"]
-    assert statistics["occupied_landmarks"].tolist() == [3, 0] and statistics["contacts"].tolist() == [0, 2]
+    assert statistics["occupied_landmarks"].tolist() == [2, 0] and statistics["contacts"].tolist() == [0, 2]
     for _ in range(24):
         statistics = env.step([[0, 0, 0]] * 2)[-1]["statistics"]
     assert statistics["contacts"][0] == 0 and statistics["contacts"][1] >= 2
@@ -363,10 +363,11 @@ def test_statistics_of_spread_and_tag() -> None:
 
     env = make("mpe2-tag-selfplay")
     env.reset()
-    place(env, 0, [[0, 0], [0.1, 0], [0.9, 0.9], [0.05, 0.05]], [[-0.9, -0.9]] * 2)
-    _, rewards, _, _, info = env.step([[0, 0, 0, 0]])
-    assert info["statistics"]["contacts"].tolist() == [2] and rewards.tolist() == [20]
-    assert info["agent_rewards"].tolist() == [[20, 20, 20, -20]]
+    for contacts in (2, 4):
+        place(env, 0, [[0, 0], [0.1, 0], [0.9, 0.9], [0.05, 0.05]], [[-0.9, -0.9]] * 2)
+        _, rewards, _, _, info = env.step([[0, 0, 0, 0]])
+        assert info["statistics"]["contacts"].tolist() == [contacts] and rewards.tolist() == [20]
+        assert info["agent_rewards"].tolist() == [[20, 20, 20, -20]]
 
 
 def test_statistics_of_distances() -> None:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 import psutil
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from envs import InputError, runs
 
@@ -297,6 +298,69 @@ class TestTracking:
                 runs.Log(directory.path, directory.args, 0, False).close()
             directory._lock.lock.release()
         assert wandb[0] == wandb[1] != wandb[2] == wandb[3]
+
+
+class TestTensorBoard:
+    """The points of TensorBoard's file, as TensorBoard itself reads them."""
+
+    def points(self, path: Path, tag: str) -> list[tuple[int, float]]:
+        events = EventAccumulator(str(path))
+        events.Reload()
+        return [(point.step, point.value) for point in events.Scalars(tag)]
+
+    def test_a_resumed_run_takes_back_what_came_after_its_checkpoint(self, tmp_path: Path) -> None:
+        for begins, ends, resumed in ((0, 4, False), (2, 5, True)):
+            log = runs.Log(tmp_path, Args(), begins, resumed)
+            for timestep in range(begins + 1, ends + 1):
+                log.evaluation(timestep, {"return_mean": float(10 * ends + timestep)})
+            log.close()
+        assert self.points(tmp_path, "evaluation/return_mean") == [(1, 41), (2, 42), (3, 53), (4, 54), (5, 55)]
+
+    def test_means_are_those_of_the_last_hundred_episodes(self, tmp_path: Path) -> None:
+        log = runs.Log(tmp_path, Args(), 0, False)
+        for timestep, score, n_episodes in ((10, 9.0, 60), (20, 1.0, 100), (30, 3.0, 50)):
+            log.batch(timestep, [score] * n_episodes, [10 * score] * n_episodes, {})
+        log.close()
+        assert self.points(tmp_path, "training/return_mean") == [(10, 9), (20, 1), (30, 2)]
+        assert self.points(tmp_path, "training/episode_length") == [(10, 90), (20, 10), (30, 20)]
+
+    def test_the_speed_is_that_of_this_process(self, tmp_path: Path) -> None:
+        log = runs.Log(tmp_path, Args(), 500, False)
+        log.started -= 1000  # seconds ago
+        log.batch(700, [1.0], [1.0], {})
+        log.close()
+        assert self.points(tmp_path, "training/steps_per_second") == [(700, pytest.approx(0.2, rel=0.05))]
+
+    def test_a_thousand_points_a_run(self, tmp_path: Path) -> None:
+        log = runs.Log(tmp_path, Args(total_timesteps=10_000), 0, False)
+        for timestep in (4, 8, 12, 16, 20, 24):
+            log.batch(timestep, [1.0], [1.0], {"loss/critic": np.float64(timestep)})
+        log.close()
+        assert self.points(tmp_path, "loss/critic") == [(12, 12), (20, 20)]  # the first at or after each ten
+
+
+class TestCommit:
+    """The commit in config.json."""
+
+    def test_changed_files_make_it_dirty(self, tmp_path: Path, monkeypatch: Any) -> None:
+        def git(*words: str) -> str:
+            identity = ("-c", "user.name=nobody", "-c", "user.email=nobody@example.org")
+            done = subprocess.run(["git", *identity, *words], cwd=tmp_path, check=True, capture_output=True, text=True)
+            return done.stdout.strip()
+
+        monkeypatch.setattr(runs, "__file__", str(tmp_path / "runs.py"))
+        for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+        assert runs._commit() is None
+        git("init")
+        (tmp_path / "runs.py").write_text("1")
+        git("add", "runs.py")
+        git("commit", "-m", "first")
+        git("tag", "a-tag")
+        assert runs._commit() == git("rev-parse", "HEAD")
+        (tmp_path / "runs.py").write_text("2")
+        assert runs._commit() == git("rev-parse", "HEAD") + "-dirty"
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

@@ -193,6 +193,15 @@ def test_unknown_names_offer_the_nearest(name: str, nearest: str) -> None:
     assert isinstance(error.value, ValueError)
 
 
+@pytest.mark.parametrize(
+    "name", ["LBF-9x9-2P-2f", "smaclite-3m-SC2", "Rware-Tiny-2p", "Pettingzoo:mpe2.simple_spread_v3"]
+)
+def test_a_name_in_other_letters_is_meant_exactly(name: str) -> None:
+    with pytest.raises(envs.InputError) as error:
+        envs.task(name)
+    assert str(error.value).startswith(f"unknown task {name!r}; did you mean {name.lower()}? ")
+
+
 @pytest.mark.parametrize("name", ["", "hello", "lbf", "rware", "matrix", "8x8", "\ud800"])
 def test_unknown_names_far_from_all_offer_none(name: str) -> None:
     with pytest.raises(envs.InputError) as error:
