@@ -410,7 +410,8 @@ class TestRunning:
     def test_a_run_whose_node_was_lost_goes_on_first(self):
         """Others would only add to the runs that are half done."""
         runs = make_plan("ia2c", "matrix-climbing", seeds=3)
-        work = run.Campaign(runs, Path(), Path("results"), None, None, SimpleNamespace(say=lambda text: None))
+        unused: Any = None
+        work = run.Campaign(runs, Path(), Path("results"), unused, unused, view.LineView())
         work.waiting.popleft()
         for _ in range(run.MOST_LOSSES):
             work.try_again(runs[0], None)
@@ -917,7 +918,8 @@ class TestRay:
         for name in ("checkpoint.pt", "checkpoint.new.pt"):
             (tmp_path / name).write_text("old")
         names = ["checkpoint.pt", "checkpoint.previous.pt", "config.json", "replay.bin"]
-        cluster.write_files(tmp_path, {name: [b"new"] for name in names})
+        new: Any = {name: [b"new"] for name in names}
+        cluster.write_files(tmp_path, new)
         assert [name for name, _ in order[:2]] == ["config.json", "replay.bin"]
         assert order[2:] == [("checkpoint.previous.pt", []), ("checkpoint.pt", ["checkpoint.previous.pt"])]
 
