@@ -193,6 +193,12 @@ def iql_smac(view: View) -> Verdict:
     return among(["smac-3s_vs_5z"], lambda task: best_of(view, task, ["iql"]))
 
 
+@claim("5.1", "IQL performs competitively in the other SMAC tasks.")
+def iql_other_smac(view: View) -> Verdict:
+    others = [task for task in SMAC if task != "smac-3s_vs_5z"]
+    return among(others, lambda task: competitive_text(view, "iql", task))
+
+
 def best_of(view: View, task: str, algorithms: Iterable[str]) -> tuple[bool, str]:
     """Whether one of the algorithms has the highest value of all, and the figures."""
     values = view.values(task)
@@ -209,6 +215,11 @@ def ia2c_ippo(view: View) -> Verdict:
     )
 
 
+@claim("5.1", "IA2C performs competitively compared to all algorithms with centralised training (in most tasks).")
+def ia2c_competitive(view: View) -> Verdict:
+    return among(TASKS, lambda task: competitive_text(view, "ia2c", task), MAJORITY)
+
+
 @claim("5.1", "IA2C achieves higher returns than IQL in all but two SMAC tasks.")
 def ia2c_iql(view: View) -> Verdict:
     return among(SMAC, higher(view, "ia2c", "iql"), 3 / 5)
@@ -221,6 +232,11 @@ def ia2c_coma_maddpg(view: View) -> Verdict:
         return beaten, against(view, ("ia2c", "coma", "maddpg"), task)
 
     return among(TASKS, test, MAJORITY)
+
+
+@claim("5.1", "IPPO in general performs competitively in all tasks (in the vast majority).")
+def ippo_competitive(view: View) -> Verdict:
+    return among(TASKS, lambda task: competitive_text(view, "ippo", task), VAST_MAJORITY)
 
 
 @claim(
@@ -305,6 +321,20 @@ def maddpg_worst(view: View) -> Verdict:
     return among(TASKS, test, MAJORITY)
 
 
+@claim("5.2", "MADDPG performs competitively only in some MPE tasks (and in the matrix games).")
+def maddpg_competitive(view: View) -> Verdict:
+    def test(name: str) -> tuple[bool, str]:
+        found = competitive_in(view, "maddpg", name)
+        return bool(found) == (name == "mpe"), ", ".join(found)
+
+    return among(("mpe", "smac", "rware", "lbf"), test, unit="families")
+
+
+def competitive_in(view: View, algorithm: str, name: str) -> list[str]:
+    """The tasks of a family in which an algorithm is competitive."""
+    return [task for task in TASKS if family(task) == name and view.competitive(algorithm, task)]
+
+
 @claim("5.2", "MADDPG exhibits very low returns (less than half of the best) in LBF and RWARE (most of the tasks).")
 def maddpg_low(view: View) -> Verdict:
     def test(task: str) -> tuple[bool, str]:
@@ -322,6 +352,15 @@ def coma_lowest(view: View) -> Verdict:
         return lower < 2 and values["coma"] < max(values.values()), f"COMA {values['coma']:.2f}, lower ones: {lower}"
 
     return among(TASKS, test, MAJORITY)
+
+
+@claim("5.2", "COMA performs competitively only in one SMAC task (and in the matrix games).")
+def coma_competitive(view: View) -> Verdict:
+    def test(name: str) -> tuple[bool, str]:
+        found = competitive_in(view, "coma", name)
+        return len(found) == (1 if name == "smac" else 0), ", ".join(found)
+
+    return among(("mpe", "smac", "rware", "lbf"), test, unit="families")
 
 
 @claim("5.2", "In Speaker-Listener, COMA fails to find the local optimum with a return of about -17.")
@@ -416,7 +455,8 @@ def sharing_by_family(view: View) -> Verdict:
 
 
 def sharing_means(view: View, tasks: Iterable[str]) -> tuple[float, float]:
-    """The means of the normalised maximum returns with and without sharing; normalised over both."""
+    """The means of the normalised maximum returns with and without sharing; normalised over both. Tasks on which all
+    returns are equal do not count; where there are no others, both means are 0."""
     shared, alone = [], []
     for task in tasks:
         values = {each: [view.value(name, task, each) for name in ALGORITHMS] for each in (True, False)}
@@ -424,7 +464,7 @@ def sharing_means(view: View, tasks: Iterable[str]) -> tuple[float, float]:
         if high > low:
             shared += [(value - low) / (high - low) for value in values[True]]
             alone += [(value - low) / (high - low) for value in values[False]]
-    return sum(shared) / len(shared), sum(alone) / len(alone)
+    return sum(shared) / max(len(shared), 1), sum(alone) / max(len(alone), 1)
 
 
 def sharing_helps(view: View, task: str) -> tuple[bool, str]:
@@ -450,6 +490,18 @@ def sharing_sparse(view: View) -> Verdict:
     return Verdict(
         HOLDS if gains[0] > gains[1] else FAILS, "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
     )
+
+
+@claim("5.3", "In RWARE, sharing helps more with fewer agents, or in a larger warehouse, than in tiny-4p.")
+def sharing_rware(view: View) -> Verdict:
+    gains = {}
+    for task in RWARE:
+        shared, alone = sharing_means(view, [task])
+        gains[task] = shared - alone
+    simple = gains.pop("rware-tiny-4p")
+    figures = ", ".join(f"{task} {gain:.2f}" for task, gain in gains.items())
+    verdict = HOLDS if min(gains.values()) > simple else FAILS
+    return Verdict(verdict, f"gains: {figures}, rware-tiny-4p {simple:.2f}")
 
 
 @claim("6", "IA2C and IPPO achieve higher returns than IQL in the majority of the tasks (outside the matrix games).")

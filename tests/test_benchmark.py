@@ -689,7 +689,9 @@ def test_the_papers_claims_by_its_own_tables():
     failing = sorted(claim[1] for claim, verdict in zip(claims.CLAIMS, verdicts) if verdict == claims.FAILS)
     assert [sentence[:40] for sentence in failing] == [
         "Centralised critics are valuable (the be",
+        "IPPO in general performs competitively i",
         "IPPO outperforms MAA2C in the RWARE task",
+        "IQL performs competitively in the other ",
         "IQL performs significantly worse than IA",
         "In most RWARE tasks MAA2C and MAPPO sign",
         "MAA2C is significantly better than IA2C ",
@@ -742,6 +744,37 @@ def test_the_limits_of_competitive_and_similar():
     view = claims.View(judged_cells({"t": {"mappo": 1, "ippo": 0.81, "ia2c": 0.77, "coma": 0.72, "iql": 0.62}}))
     assert view.competitive("ippo", "t") and not view.competitive("ia2c", "t")
     assert view.similar("ippo", "coma", "t") and not view.similar("ia2c", "iql", "t")
+
+
+def test_competitive_only_in_some_tasks():
+    """Each algorithm is competitive in the tasks that are named, where it is the best, and in no other."""
+    best = {task: {"mappo": 1} for task in claims.TASKS}
+    mpe, smac, lbf = "mpe-spread", list(claims.SMAC[:2]), claims.LBF[0]
+    for tasks, maddpg in (([mpe], claims.HOLDS), ([], claims.FAILS), ([mpe, lbf], claims.FAILS)):
+        view = claims.View(judged_cells(best | {task: {"maddpg": 1} for task in tasks}))
+        assert claims.maddpg_competitive(view).verdict == maddpg
+    for tasks, coma in (
+        (smac[:1], claims.HOLDS),
+        (smac, claims.FAILS),
+        ([], claims.FAILS),
+        ([mpe, smac[0]], claims.FAILS),
+    ):
+        view = claims.View(judged_cells(best | {task: {"coma": 1} for task in tasks}))
+        assert claims.coma_competitive(view).verdict == coma
+
+
+@pytest.mark.parametrize(
+    "gains, verdict",
+    [([3, 1, 2], claims.HOLDS), ([1, 3, 2], claims.FAILS), ([3, 2, 1], claims.FAILS), ([0, 0, 0], claims.FAILS)],
+)
+def test_sharing_where_rewards_are_sparse(gains, verdict):
+    """Of tiny-2p, tiny-4p and small-4p: ten with sharing, less without, by all algorithms but one; or 0 by all."""
+    parts = []
+    for task, gain in zip(("rware-tiny-2p", "rware-tiny-4p", "rware-small-4p"), gains):
+        best = 10 if gain else 0
+        named = dict.fromkeys(results.ALGORITHMS[1:], best), dict.fromkeys(results.ALGORITHMS[1:], best - gain)
+        parts += [judged_cells({task: values}).assign(sharing=sharing) for sharing, values in zip((True, False), named)]
+    assert claims.sharing_rware(claims.View(pd.concat(parts))).verdict == verdict
 
 
 def test_claims_about_averages_look_at_averages():
