@@ -33,7 +33,9 @@ AGENTS: tuple[Colour, ...] = (  # dark enough for white text; colour-blind reade
     (80, 90, 105),
     (150, 130, 0),
 )
+FRAMES_PER_SECOND = 5  # of a film
 FILM_STEPS = 250  # a film shows so many, or one episode if that is longer: frames are kept in memory until the end
+FILM_SECONDS = 30  # a film that would last longer shows more frames in a second
 HELD = 4  # the end of an episode is shown so many times more, before the next one begins
 AREA, AREAS = 100, 64  # of a film's palette: at least so many pixels are an area; at most so many colours are for areas
 DETAIL = 4  # pictures are drawn this many times larger and then reduced, so that edges are smooth
@@ -112,7 +114,11 @@ def common_palette(images: list[Image.Image]) -> Image.Image:
     return palette
 
 
-def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str], frames_per_second: float = 5) -> None:
+def save_film(
+    frames: Iterable[NDArray[np.uint8]],
+    path: str | os.PathLike[str],
+    frames_per_second: float = FRAMES_PER_SECOND,
+) -> None:
     """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
 
     The last frame stays for a second, so that the end is seen before the film starts again.
@@ -125,7 +131,8 @@ def save_film(frames: Iterable[NDArray[np.uint8]], path: str | os.PathLike[str],
         raise ValueError("the frames of a film must be of one size.")
     palette = common_palette(images)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    duration = [round(1000 / frames_per_second)] * (len(images) - 1) + [1000]
+    hundredths = max(round(100 / frames_per_second), 2)  # the unit of a GIF; viewers show nothing faster than 2
+    duration = [10 * hundredths] * (len(images) - 1) + [1000]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
 
 
@@ -156,4 +163,5 @@ def film(env: VectorEnv, team: Team, seed: int, path: str | os.PathLike[str], ep
             if not ended[index]:
                 frames[index].append(env.frame(index))
         ended = terminated | truncated
-    save_film([frame for episode in frames for frame in (*episode, *[episode[-1]] * HELD)], path)
+    all_frames = [frame for episode in frames for frame in (*episode, *[episode[-1]] * HELD)]
+    save_film(all_frames, path, max(FRAMES_PER_SECOND, len(all_frames) / FILM_SECONDS))

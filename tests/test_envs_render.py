@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import envs
+from envs import render
 from envs.render import save_film
 
 
@@ -61,7 +63,7 @@ def test_who_loads_is_seen() -> None:
 
 
 def test_agents_on_one_cell_are_both_seen() -> None:
-    from envs import lbf, render
+    from envs import lbf
 
     env = envs.make("lbf-6x6-2p-1f")
     assert isinstance(env, lbf.Env)
@@ -72,7 +74,7 @@ def test_agents_on_one_cell_are_both_seen() -> None:
 
 
 def test_who_carries_and_what_is_delivered_is_seen() -> None:
-    from envs import render, rware
+    from envs import rware
 
     env = envs.make("rware-tiny-2p", seed=1)
     assert isinstance(env, rware.Env)
@@ -121,6 +123,25 @@ def test_films(tmp_path: Path) -> None:
             shown = np.asarray(film.convert("RGB")).astype(int)
             assert np.abs(shown - frame).mean() < 2
         assert durations == [250] * 12 + [1000]
+
+
+class Still:
+    """A team that does nothing."""
+
+    def reset(self) -> None:
+        pass
+
+    def act(self, observations: Any, info: Any) -> Any:
+        return np.zeros(observations.shape[:2], np.int64)
+
+
+def test_long_films_are_played_faster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five episodes of 51 pictures, each end shown four times more: 275 pictures."""
+    for limit, duration in ((1000, 200), (30, 110), (1, 20)):
+        monkeypatch.setattr(render, "FILM_SECONDS", limit)
+        render.film(envs.make("lbf-5x5-2p-1f", 5), Still(), 0, tmp_path / "film.gif")
+        with Image.open(tmp_path / "film.gif") as film:
+            assert film.info["duration"] == duration  # milliseconds
 
 
 def test_a_colour_of_few_frames_is_kept(tmp_path: Path) -> None:
