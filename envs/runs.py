@@ -29,6 +29,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -493,6 +494,7 @@ class Log:
         self.last_evaluation: float | None = None
         self.returns: deque[float] = deque(maxlen=100)  # of the last training episodes
         self.lengths: deque[float] = deque(maxlen=100)
+        threading.excepthook = show_error
         self.writer = SummaryWriter(str(path), purge_step=timestep + 1 if resumed else None)
         self.bar = tqdm(total=self.total, initial=timestep, unit=" steps", unit_scale=True, disable=None)
         say(f"This run is kept in {path}")
@@ -548,6 +550,13 @@ class Log:
         """Ends the progress bar and TensorBoard's file."""
         self.bar.close()
         self.writer.close()
+
+
+def show_error(failure: threading.ExceptHookArgs) -> None:
+    """Shows what went wrong in a thread, but not in TensorBoard's: it keeps an error, such as a full disk, for the next
+    call of its writer, and so the main thread ends with a sentence."""
+    if not type(failure.thread).__module__.startswith("tensorboard."):
+        threading.__excepthook__(failure)
 
 
 def optional(package: str, extra: str | None = None) -> ModuleType:

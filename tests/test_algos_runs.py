@@ -353,6 +353,21 @@ def test_a_disk_that_is_full_at_the_start(tmp_path):
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and "mappo: " in done.stderr
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
+    """Its thread meets the error first; only the main thread says so. The checkpoint is small enough, and stays."""
+    import resource
+
+    def little_room():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    flags = ["--env", "matrix-climbing", "--hidden-dim", "8", "--total-timesteps", "200000", "--eval-points", "2"]
+    done = run("ia2c", *flags, "--run-dir", tmp_path / "run", preexec_fn=little_room)
+    assert done.returncode == 2 and "Traceback" not in done.stderr and "ia2c: [Errno " in done.stderr.splitlines()[-1]
+    assert runs.read_checkpoint(tmp_path / "run", "ia2c")["timestep"] == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
 def test_closed_streams(tmp_path):
     flags = ["--env", "matrix-climbing", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
