@@ -37,17 +37,20 @@ def allowed_actions(mask: NDArray[np.bool_], rng: np.random.Generator) -> NDArra
     return np.where(mask, rng.random(mask.shape), -1).argmax(axis=1)
 
 
-def play(env: VectorEnv, episode: int) -> list[Step]:
+def play(env: VectorEnv, episode: int, seed: int | None = None, restart: int | None = None) -> list[Step]:
     """An episode of each sub-environment. A reset counts as a step without rewards and flags.
 
-    The actions of sub-environment i depend on (i, episode) alone.
+    The actions of sub-environment i depend on (i, episode) alone. seed: of the reset. restart: before this step
+    sub-environment 1 is reset alone.
     """
     generators = [np.random.default_rng([i, episode]) for i in range(env.num_envs)]
-    observations, info = env.reset()
+    observations, info = env.reset(seed=seed)
     no_flags = np.zeros(env.num_envs, np.bool_)
     steps: list[Step] = [(observations, no_flags.astype(np.float32), no_flags, no_flags, info)]
-    for _ in range(env.episode_limit):
+    for t in range(env.episode_limit):
         masks = steps[-1][-1]["action_mask"]
+        if t == restart:
+            masks = env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})[1]["action_mask"]
         if not masks.any(axis=2).all():  # nobody can go on; `arrays` says so
             break
         steps.append(env.step(np.stack([allowed_actions(mask, rng) for mask, rng in zip(masks, generators)])))
@@ -126,14 +129,20 @@ def refusals(make: Make) -> Iterator[str]:
     env = make(2, 0, True)
     last = env.n_agents - 1
     wrong = {"an action that does not exist": (1, last, env.n_actions), "an action below 0": (0, 0, -1)}
+    rng = np.random.default_rng(0)
     for kind in (*wrong, "an action that the mask forbids"):
         observations, info = env.reset()
         mask = info["action_mask"]
+        actions = np.stack([allowed_actions(each, rng) for each in mask])
+        for _ in range(env.episode_limit - 1):
+            if kind in wrong or not mask.all():
+                break
+            observations, _, _, _, info = env.step(actions)
+            mask = info["action_mask"]
+            actions = np.stack([allowed_actions(each, rng) for each in mask])
         if kind not in wrong and mask.all():
             continue
         index, agent, action = wrong.get(kind) or np.argwhere(~mask)[0].tolist()
-        rng = np.random.default_rng(0)
-        actions = np.stack([allowed_actions(each, rng) for each in mask])
         actions[index, agent] = action
         try:
             env.step(actions)
@@ -158,6 +167,9 @@ def randomness(make: Make) -> Iterator[str]:
             return
         if any(differ(step, other, 0) for step, other in zip(steps, play(alone, episode))):
             yield "Sub-environment 0 plays something else when there are others beside it."
+    seeded = play(make(3, 0, True), 0, seed=7)
+    if any(differ(step, other, i) for step, other in zip(play(make(3, 7, True), 0), seeded) for i in range(3)):
+        yield "reset(seed=7) does not begin the episodes of an environment that was made with seed 7."
     if any(differ(step, other, i) for step, other in zip(steps, play(later, EPISODES - 1)) for i in range(3)):
         last = EPISODES - 1
         yield f"After env.episode = {last}, a reset does not begin episode {last}: a resumed run would differ."
@@ -173,6 +185,11 @@ def masked_resets(make: Make) -> Iterator[str]:
         yield "A reset with options['reset_mask'] changes sub-environments that the mask does not name."
     if env.terminated[1] or env.truncated[1]:
         yield "A reset with options['reset_mask'] does not take down the flag of a sub-environment that it names."
+    whole = play(make(3, 0, True), 0)
+    ended = [next(t for t, step in enumerate(whole) if step[2][i] | step[3][i]) for i in (0, 2)]
+    again = play(make(3, 0, True), 0, restart=min(ended) // 2)
+    if any(differ(step, other, i) for step, other in zip(whole, again) for i in (0, 2)):
+        yield "A reset with options['reset_mask'] in the middle changes sub-environments that the mask does not name."
 
 
 def copies(make: Make) -> Iterator[str]:

@@ -5,6 +5,8 @@ Importing this module imports Numba, so only families with compiled rules do it.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import hashlib
 import os
 import sys
@@ -18,12 +20,13 @@ import numpy as np
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def cache_folder() -> str | None:
-    """The folder for this version of the rules in the user's cache directory, or None where it cannot be written.
+@functools.cache
+def cache_folder(sources: tuple[Path, ...]) -> str:
+    """The folder in the user's cache directory for rules that lie in these folders, or "" where none can be written.
 
     Numba compiles a cached function again when the function's own file changes, but not when another file changes whose
-    functions it calls. Old rules would then run silently. A folder that is named by a hash of all source files of this
-    package never holds old rules.
+    functions it calls. Old rules would then run silently. A folder that is named by a hash of all files that may belong
+    to the rules never holds old ones.
     """
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
@@ -31,18 +34,18 @@ def cache_folder() -> str | None:
         base = "~/Library/Caches"
     else:
         base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    sources = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        sources.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    text = hashlib.sha256()
     try:
-        folder = Path(base).expanduser() / "marl-baselines" / sources.hexdigest()[:16]
+        for path in sorted(path for folder in sources for path in folder.glob("*.py")):
+            if not path.name.startswith("."):  # an editor's lock file
+                text.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        folder = Path(base).expanduser() / "marl-baselines" / text.hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # RuntimeError: there is no home directory
-        return None
-    return str(folder) if os.access(folder, os.W_OK) else None
+        return ""
+    return str(folder) if os.access(folder, os.W_OK) else ""
 
 
-CACHE = cache_folder()
 NUMBA: Any = numba.config  # its attributes are made at run time
 
 
@@ -52,15 +55,39 @@ def compiled(function: Function) -> Function:
     The folder is set for this function alone, so that whatever else the process compiles stays where the user wants it.
     A NUMBA_CACHE_DIR that the user has set is respected. If no folder can be written, each process compiles anew.
     """
+    here, there = Path(__file__).parent, Path(function.__code__.co_filename).parent
     users_folder = NUMBA.CACHE_DIR
-    folder = users_folder or CACHE or ""
-    NUMBA.CACHE_DIR = folder
+    NUMBA.CACHE_DIR = users_folder or cache_folder((here,) if there == here else (here, there))
+    # With the rules inlined a step takes half the time: calls with so many arrays are expensive.
+    compile_it: Any = functools.partial(numba.njit, function, forceinline=True)
     try:
-        # With the rules inlined a step takes half the time: calls with so many arrays are expensive.
-        result: Any = numba.njit(function, cache=folder != "", forceinline=True)
+        result = compile_it(cache=NUMBA.CACHE_DIR != "")
+    except RuntimeError:  # Numba finds no folder that it can write
+        result = compile_it()
     finally:
         NUMBA.CACHE_DIR = users_folder
+    if hasattr(result, "_cache"):
+        make_optional(result._cache)
     return result
+
+
+def make_optional(cache: Any) -> None:
+    """Lets a program go on without Numba's cache of a function where the disk is full or a crash has damaged a file."""
+    load, save = cache.load_overload, cache.save_overload
+
+    def load_or_miss(*key: Any) -> Any:
+        try:
+            return load(*key)
+        except Exception:  # pickle raises almost anything on a damaged file
+            with contextlib.suppress(OSError):
+                cache.flush()  # else it would be met again
+            return None
+
+    def save_if_possible(*entry: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(*entry)
+
+    cache.load_overload, cache.save_overload = load_or_miss, save_if_possible
 
 
 def wrapping(function: Function) -> Function:

@@ -106,6 +106,8 @@ class Env(vector.VectorEnv):
 
         Raises InputError where the package, the game or the map is missing, and for more games than fit into memory.
         """
+        vector.check_number(num_envs)  # before games begin
+        vector.check_seed(seed)
         require(map_name)
         room = int(psutil.virtual_memory().available // GAME_BYTES)
         if num_envs > room:

@@ -39,6 +39,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,15 @@ from envs.tasks import InputError
 
 Info = dict[str, Any]
 RESULTS = ("observations", "rewards", "terminated", "truncated")
+TAKEN = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length", "seed"}
+TAKEN |= {"task", "family", "algorithm", "sharing", "setting", "total_timesteps", "paper_timesteps"}
 INFO_ARRAYS = ("agent_rewards", "state", "action_mask")  # of the info, besides the statistics
 
 
 def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
     """The random generator of an episode of sub-environment `index`, for rules that are not compiled."""
-    return np.random.default_rng([seed, index, episode])
+    # A spawn key, since NumPy fills up with zeros: default_rng([seed, 0, 0]) is the default_rng(seed) of other code
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, episode)))
 
 
 def episode_seed(seed: int, index: int, episode: int) -> int:
@@ -75,6 +79,18 @@ def forbidden_action(actions: NDArray[np.int64], action_mask: NDArray[np.bool_])
     chosen = np.where(exists, actions, 0)[:, :, None]
     allowed = exists & np.take_along_axis(action_mask, chosen, axis=2)[:, :, 0]
     return -1 if allowed.all() else int(allowed.argmin())
+
+
+def check_number(num_envs: int) -> None:
+    """Raises ValueError where there is no sub-environment."""
+    if num_envs < 1:
+        raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
+
+
+def check_seed(seed: int) -> None:
+    """Raises ValueError for a seed out of range."""
+    if not 0 <= seed < 2**64:
+        raise ValueError(f"seed is {seed}; it must lie between 0 and 2^64 - 1.")
 
 
 class VectorEnv(GymnasiumVectorEnv):
@@ -110,13 +126,16 @@ class VectorEnv(GymnasiumVectorEnv):
     ) -> None:
         """low, high: the bounds of an observation's values. state_size: None if the state consists of the observations.
 
-        statistics: the names of the entries of `self.statistics`. teams: None if all agents belong to one team.
-        choices: None if each agent has n_actions actions.
+        statistics: the names of the entries of `self.statistics`, none of TAKEN. teams: None if all agents belong to
+        one team. choices: None if each agent has n_actions actions.
         """
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
+        check_number(num_envs)
         if choices is not None and (len(choices) != n_agents or not 1 <= min(choices) <= max(choices) <= n_actions):
             raise ValueError(f"choices is {choices}; it must have a number from 1 to {n_actions} for each agent.")
+        if taken := sorted(set(statistics) & TAKEN):
+            raise ValueError(
+                f"{name}: no statistic can have the name {taken[0]!r}, which results of runs have already."
+            )
         self.name, self.num_envs, self.copy = name, num_envs, copy
         self.n_agents, self.n_actions, self.obs_size = n_agents, n_actions, obs_size
         self.state_size = n_agents * obs_size if state_size is None else state_size
@@ -161,12 +180,13 @@ class VectorEnv(GymnasiumVectorEnv):
             "action_mask": self.action_mask,
             "statistics": self.statistics,
         }
-        self._info_keys = frozenset(self.info)
-        self._result = (self.observations, self.rewards, self.terminated, self.truncated, self.info)
+        self._returned = (self.observations, self.rewards, self.terminated, self.truncated)
         self._held = {name: getattr(self, name) for name in (*RESULTS, *INFO_ARRAYS)}
 
     def __setstate__(self, attributes: dict[str, Any]) -> None:
         """Build the views again: copy.deepcopy and pickle turn a view of an array into a separate array."""
+        if not attributes["observations"].flags.writeable:  # as Ray gives arrays to other processes
+            attributes = deepcopy(attributes)
         self.__dict__.update(attributes)
         self._connect()
 
@@ -217,8 +237,7 @@ class VectorEnv(GymnasiumVectorEnv):
 
     def _set_seed(self, seed: int) -> None:
         seed = operator.index(seed)  # TypeError for what is no integer
-        if not 0 <= seed < 2**64:
-            raise ValueError(f"seed is {seed}; it must lie between 0 and 2^64 - 1.")
+        check_seed(seed)
         self.seed = seed
         self._seed = np.uint64(seed)
 
@@ -300,10 +319,7 @@ class VectorEnv(GymnasiumVectorEnv):
     def _outcome(self) -> tuple[Any, Any, Any, Any, Info]:
         """The five results of a step: the arrays themselves, or copies of them that the caller may keep."""
         if not self.copy:
-            if len(self.info) != len(self._info_keys):  # a wrapper has put its own entries into the shared dictionary
-                for key in self.info.keys() - self._info_keys:
-                    del self.info[key]
-            return self._result
+            return (*self._returned, self.info.copy())  # a dictionary of the caller's own: wrappers change its entries
         observations = self.observations.copy()
         info = {
             "agent_rewards": self.agent_rewards.copy(),

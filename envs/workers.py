@@ -45,6 +45,20 @@ def end(connections: list[Connection]) -> None:
         connection.close()
 
 
+def read(connection: Connection) -> Any:
+    """What the other process has sent, or None where it has ended, or does not need this one any more."""
+    try:
+        return connection.recv()
+    except (EOFError, OSError):
+        return None
+
+
+def write(connection: Connection, message: Any) -> None:
+    """Sends it; nothing where the other process has ended. What it said last can still be read."""
+    with contextlib.suppress(OSError):
+        connection.send(message)
+
+
 def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> None:
     """A worker process: builds its games and calls their methods on request, until the connection ends.
 
@@ -56,16 +70,13 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
     try:
         for _ in range(n_games):
             games.append(build())
-        while True:
-            try:
-                method, requests = connection.recv()
-            except (EOFError, OSError):  # the parent has ended, or does not need the games any more
-                return
-            connection.send([getattr(games[i], method)(*arguments) for i, arguments in requests])
+        while (request := read(connection)) is not None:
+            method, arguments = request
+            write(connection, [getattr(games[i], method)(*values) for i, values in arguments])
     except InputError as error:
-        connection.send(error)
+        write(connection, error)
     except Exception:
-        connection.send(traceback.format_exc())
+        write(connection, traceback.format_exc())
     finally:
         for game in games:
             game.close()
@@ -129,18 +140,24 @@ class Games:
     def call(self, method: str, arguments: Mapping[int, tuple[Any, ...]]) -> list[Any]:
         """Call a method of some of the games. Returns the results, in the order of the arguments.
 
-        Raises what the game raises; from a worker process a RuntimeError with the worker's traceback.
+        Raises what the game raises; from a worker process a RuntimeError with the worker's traceback. After that, and
+        after an interrupted call, the workers have ended.
         """
         if self._here:
             return [getattr(self._here[game], method)(*values) for game, values in arguments.items()]
+        if self._connections[0].closed:
+            raise RuntimeError(f"{self.name}: its worker processes ended when it was closed or a call was interrupted.")
         requests: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
         for game, values in arguments.items():
             worker, i = self._place[game]
             requests.setdefault(worker, []).append((i, values))
-        for worker, request in requests.items():
-            with contextlib.suppress(OSError):  # a worker that has ended; what it said last is read below
-                self._connections[worker].send((method, request))
-        answers = {worker: iter(self._answer(worker)) for worker in requests}
+        try:
+            for worker, request in requests.items():
+                write(self._connections[worker], (method, request))
+            answers = {worker: iter(self._answer(worker)) for worker in requests}
+        except BaseException:  # interrupted: an answer that is still to come would be taken for that to the next call
+            end(self._connections)
+            raise
         return [next(answers[self._place[game][0]]) for game in arguments]
 
     def close(self) -> None:
@@ -153,10 +170,7 @@ class Games:
             process.terminate()
 
     def _answer(self, worker: int) -> list[Any]:
-        try:
-            answer = self._connections[worker].recv()
-        except (EOFError, OSError):
-            answer = None
+        answer = read(self._connections[worker])
         if isinstance(answer, list):
             return answer
         self.close()

@@ -4,7 +4,8 @@
     python algos/ippo.py --env own:examples.meeting_compiled --total-timesteps 200000
 
 The rules are functions of one sub-environment e. Numba compiles them with the loops over all sub-environments, which
-take arrays and numbers only.
+take arrays and numbers only. What is compiled is kept until a file changes in this folder or in `envs/`, so rules and
+the loops that call them should lie in one folder.
 """
 
 import numpy as np

@@ -155,6 +155,39 @@ class ResetsLast(Meeting):
         super().reset_envs(mask | (np.arange(self.num_envs) == 2), seed, episodes)
 
 
+class SharedClock(Meeting):
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, rng)
+        self.steps[:] = 0
+
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.terminated[e], self.truncated[e] = False, self.steps[e] == self.episode_limit
+
+
+class KeepsSeed(Meeting):
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.first_seed = np.uint64(seed)
+
+    def reset_envs(self, mask: Any, seed: Any, episodes: Any) -> None:
+        super().reset_envs(mask, self.first_seed, episodes)
+
+
+class ForbidsLater(Meeting):
+    """Forbids waiting after the first step, but accepts it."""
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, rng)
+        self.action_mask[e] = True
+
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        self.action_mask[:] = True
+        refused = super().step_envs(actions, playing)
+        self.action_mask[:, :, 0] = refused >= 0
+        return refused
+
+
 class EarnsOn(Meeting):
     def _outcome(self) -> Any:
         self.agent_rewards[~self._playing] = 1
@@ -212,7 +245,7 @@ class ResetsAll(Meeting):
 
 class NoCopies(Meeting):
     def _outcome(self) -> Any:
-        return self._result
+        return (*self._returned, self.info)
 
 
 class OtherArrays(Meeting):
@@ -269,6 +302,9 @@ CELLS = meeting_numpy.CELLS
         (NoSeedLast, "The same seed does not play the same episodes"),
         (CountsLast, "After env.episode = 2, a reset does not begin episode 2"),
         (ResetsLast, "changes sub-environments that the mask does not name"),
+        (SharedClock, "in the middle changes sub-environments that the mask does not name"),
+        (KeepsSeed, "reset(seed=7) does not begin the episodes of an environment that was made with seed 7."),
+        (ForbidsLater, "A step with an action that the mask forbids must raise ValueError."),
         (EarnsOn, "A sub-environment that has finished still earns rewards."),
         (KeepsFlags, "does not take down the flag of a sub-environment that it names"),
         (VagueError, "must name sub-environment, agent and action; it says: a wrong action"),

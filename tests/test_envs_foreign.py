@@ -250,6 +250,42 @@ def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
         env.step([[0, 0, 0]] * 3)
 
 
+def test_a_worker_that_is_busy_when_another_dies_says_nothing(capfd: Any) -> None:
+    seed = next(s for s in range(99) if [episode_seed(s, e, 0) % 2 for e in range(2)] == [0, 1])
+    env = envs.make("pettingzoo:toy_broken", 2, seed, env_kwargs={"how": "one is slow"}, env_workers=2)
+    env.reset()
+    env.step([[0, 0, 0]] * 2)
+    with pytest.raises(RuntimeError, match="worker process 0 has ended with this error"):
+        env.step([[0, 0, 0]] * 2)
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timers")
+def test_after_an_interrupted_call_the_workers_have_ended() -> None:
+    """What the slow one answers later must not be taken for the answer to the next call."""
+    seed = next(s for s in range(99) if episode_seed(s, 0, 0) % 2)
+    env = envs.make("pettingzoo:toy_broken", 1, seed, env_kwargs={"how": "one is slow"}, env_workers=1)
+    env.reset()
+    env.step([[0, 0, 0]])
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 0.2)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            env.step([[0, 0, 0]])
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    for _ in range(2):
+        with pytest.raises(
+            RuntimeError, match="its worker processes ended when it was closed or a call was interrupted"
+        ):
+            env.reset()
+    env.close()
+
+
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no groups of processes")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
 def test_what_stops_a_run_does_not_stop_its_workers(number: str) -> None:

@@ -7,12 +7,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import envs
-from envs.kernels import episode_state, forbidden_action, mix, random_below
+from envs.kernels import compiled, episode_state, forbidden_action, mix, random_below
 
 PACKAGE = Path(envs.__file__).parent
 
@@ -89,8 +90,7 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path / "cache")}
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
-    compiled = list(tmp_path.rglob("matrix.step_all*.nbc"))
-    assert len(compiled) == 1
+    assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 1
     kernels = tmp_path / "envs" / "kernels.py"
     text = kernels.read_text()
     assert text.count("if action < 0 or") == 1
@@ -99,6 +99,52 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     kernels.write_text(text)
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 2
+
+
+def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
+    """The rule is in one file, the compiled loop that calls it in another."""
+    loop = "from envs.kernels import compiled\nimport rule\nf = rule.f\n@compiled\ndef loop(x):\n    return f(x) + 1\n"
+    (tmp_path / "loop.py").write_text(loop)
+    paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+    for factor in (10, 100):
+        text = f"from envs.kernels import compiled\n@compiled\ndef f(x):\n    return {factor} * x\n"
+        (tmp_path / "rule.py").write_text(text)
+        said = run(
+            "import loop; print(loop.loop(2))", tmp_path, PYTHONPATH=paths, XDG_CACHE_HOME=str(tmp_path / "cache")
+        )
+        assert said == f"{2 * factor + 1}\n"
+
+
+def test_damaged_cache_files_are_replaced(tmp_path: Path) -> None:
+    """As a power cut leaves them. An editor's lock file, which is a link to nowhere, does not matter either."""
+    shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "envs" / ".#lbf.py").symlink_to("nobody@nowhere.1")
+    home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path / "cache")}
+    assert run(STEP, tmp_path, **home) == "reward 7.0\n"
+    for ending in ("nbi", "nbc"):
+        damaged = list(tmp_path.rglob(f"matrix.step_all*.{ending}"))
+        assert len(damaged) == 1
+        damaged[0].write_bytes(b"")
+        assert run(STEP, tmp_path, **home) == "reward 7.0\n"
+        assert damaged[0].stat().st_size > 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+def test_a_full_disk_costs_only_the_time_to_compile(tmp_path: Path) -> None:
+    limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    assert run(limit + STEP, PACKAGE.parent, XDG_CACHE_HOME=str(tmp_path)) == "reward 7.0\n"
+    assert not list(tmp_path.rglob("matrix.step_all*.nbc"))
+
+
+def test_where_numba_finds_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    def njit(function: Any, cache: bool = False, **_: Any) -> Any:
+        if cache:
+            raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+        return "compiled"
+
+    monkeypatch.setattr("envs.kernels.numba.njit", njit)
+    assert compiled(lambda x: x) == "compiled"
 
 
 def test_the_users_own_cache_folder_is_respected(tmp_path: Path) -> None:

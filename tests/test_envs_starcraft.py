@@ -187,6 +187,13 @@ def test_more_games_than_memory(log: Path, monkeypatch: pytest.MonkeyPatch) -> N
         envs.make("smac-3m", 3)
 
 
+@pytest.mark.parametrize(("number", "seed", "said"), [(0, 0, "num_envs is 0"), (1, -1, "seed is -1")])
+def test_what_cannot_be_begins_no_game(log: Path, number: int, seed: int, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        envs.make("smac-3m", number, seed)
+    assert not log.exists()
+
+
 @pytest.mark.skipif(importlib.util.find_spec("smac") is not None, reason="a package of that name is installed")
 def test_without_the_package() -> None:
     with pytest.raises(envs.InputError, match=r"smac-3m needs the package smac; pip install .*smaclite-<map>"):

@@ -165,11 +165,42 @@ def test_a_seed_of_numpy_is_one_too() -> None:
     assert env.seed == 4
 
 
+def test_a_statistic_cannot_take_the_place_of_a_result() -> None:
+    with pytest.raises(ValueError, match="no statistic can have the name 'timestep'"):
+        VectorEnv(
+            "own",
+            1,
+            0,
+            True,
+            n_agents=1,
+            n_actions=2,
+            obs_size=1,
+            episode_limit=1,
+            low=0,
+            high=1,
+            statistics=["won", "timestep"],
+        )
+
+
+def test_an_episode_does_not_draw_what_other_code_draws() -> None:
+    """A loop whose own generator has the environment's seed, for actions: they must not follow from the start."""
+    ours = episode_generator(7, 0, 0).random(5).tolist()
+    assert ours == episode_generator(7, 0, 0).random(5).tolist() != episode_generator(7, 1, 0).random(5).tolist()
+    assert ours != np.random.default_rng(7).random(5).tolist() != episode_generator(7, 0, 1).random(5).tolist()
+
+
 def test_one_team_unless_a_family_says_otherwise() -> None:
     assert envs.make("lbf-8x8-3p-2f").teams == (0, 0, 0)
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def through_ray(env: envs.VectorEnv) -> Any:
+    """As Ray hands objects to other processes: the arrays' memory is shared, so they cannot be written."""
+    buffers: list[Any] = []
+    text = pickle.dumps(env, protocol=5, buffer_callback=buffers.append)
+    return pickle.loads(text, buffers=[bytes(buffer) for buffer in buffers])
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env)), through_ray])
 @pytest.mark.parametrize("name", TASKS)
 def test_a_copied_environment_goes_on_by_itself(name: str, duplicate: Callable[[envs.VectorEnv], Any]) -> None:
     """Its state remains a view of its own observations, and it plays what the original plays."""
@@ -429,14 +460,23 @@ def test_without_copies_the_same_arrays_return(name: str) -> None:
     copying.reset()
     outcome = env.step(np.zeros((3, env.n_agents), int))
     copying.step(np.zeros((3, env.n_agents), int))
-    assert outcome[0] is first and outcome[-1] is info
+    assert outcome[0] is first and outcome[-1]["state"] is info["state"]
     for t in range(60):
         actions = np.full((3, env.n_agents), t % 3)
         again, copied = env.step(actions), copying.step(actions)
-        assert again is outcome
         assert all(a is b for a, b in zip(arrays(again), arrays(outcome), strict=True))
         for a, b in zip(arrays(again), arrays(copied), strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_what_a_wrapper_does_with_an_info_is_gone_in_the_next() -> None:
+    env = envs.make("lbf-5x5-2p-1f", 2, copy=False)
+    _, info = env.reset()
+    state = info["state"]
+    info["state"], info["mine"] = info["state"] / 10, 1
+    del info["statistics"]
+    info = env.step([[0, 0]] * 2)[-1]
+    assert info["state"] is state and set(info) == {"agent_rewards", "state", "action_mask", "statistics"}
 
 
 # --- Actions -----------------------------------------------------------------------------------------------------

@@ -103,7 +103,15 @@ class Broken(Queue):
             os.kill(os.getpid(), signal.SIGKILL)
         if self.steps == 1 and self.how == "hangs":
             time.sleep(600)
+        if self.steps == 1 and self.how == "one is slow":
+            if self.seed % 2 == 0:
+                raise ZeroDivisionError("the toy is broken")
+            time.sleep(1)
         return super().step(actions)
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.seed = seed or 0
+        return super().reset()
 
     def close(self) -> None:
         print("closed")
