@@ -903,7 +903,7 @@ def observe_agent(unit, i, config, mask, out):
     out[k] = me.hp / me.max_hp
     k += 1
     if config.ally_shields:
-        out[k] = me.shield / me.max_shield
+        out[k] = me.shield / max(me.max_shield, 1)
         k += 1
     write_type(me, config.n_types, out, k)
 
@@ -921,7 +921,7 @@ def observe_unit(me, other, flag, shields, n_types, out, k):
         out[k + 4] = other.hp / other.max_hp
         k += 5
         if shields:
-            out[k] = other.shield / other.max_shield
+            out[k] = other.shield / max(other.max_shield, 1)  # units beside it may have none
             k += 1
         return write_type(other, n_types, out, k)
     end = k + 5 + shields + n_types
@@ -961,7 +961,7 @@ def write_state(unit, config, last_action, n_actions, out):
         out[k + 1] = (me.y - SIZE / 2) / SIZE
         k += 2
         if shields:
-            out[k] = me.shield / me.max_shield
+            out[k] = me.shield / max(me.max_shield, 1)
             k += 1
         k = write_type(me, config.n_types, out, k)
     for i in range(config.n_allies):
@@ -1010,9 +1010,9 @@ class Env(vector.VectorEnv):
         self.unit_names = allies + enemies
         units = [types[unit] for unit in self.unit_names]
         n_units = len(units)
-        n_types = len(field.ally_types)
-        bits = [field.ally_types.index(unit) if n_types else 0 for unit in allies]
-        bits += [field.enemy_types.index(unit) if n_types else 0 for unit in enemies]
+        n_types = max(len(field.ally_types), len(field.enemy_types))
+        bits = [field.ally_types.index(unit) if field.ally_types else 0 for unit in allies]
+        bits += [field.enemy_types.index(unit) if field.enemy_types else 0 for unit in enemies]
 
         healers = any(unit.heals for unit in units[:n_allies])
         n_actions = ATTACK + (max(n_allies, n_enemies) if healers else n_enemies)
@@ -1148,7 +1148,7 @@ class Env(vector.VectorEnv):
                     continue
                 radius = unit.body * cell
                 canvas.circle(x, y, radius, colour, render.WHITE if flying else None, 1.5)
-                canvas.text(x, y, LETTERS[name], 1.3 * radius, render.WHITE)
+                canvas.text(x, y, LETTERS.get(name, name[:2]), 1.3 * radius, render.WHITE)
         for unit, (x, y) in zip(units, places):
             parts = [(unit.hp / unit.max_hp, HEALTH)]
             if unit.max_shield > 0:

@@ -150,8 +150,8 @@ class Map:
     enemies: Group
     attack_point: tuple[float, float]  # where the enemies go as long as they see nobody
     walkable: Rows
-    # The types that observations and state tell apart, by side and in the order of their bits; none where a side has
-    # only one.
+    # The types that observations and state tell apart, by side and in the order of their bits. A side of one type needs
+    # none; its units have as many bits as those of the other side.
     ally_types: tuple[str, ...] = ()
     enemy_types: tuple[str, ...] = ()
     enemies_first: bool = False  # they still see in the first tick of a step whom allies attacked in the last one

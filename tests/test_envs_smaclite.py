@@ -431,6 +431,36 @@ def test_healing_costs_energy() -> None:
     assert not env.action_mask[0, 0, ATTACK] and env.action_mask[0, 0, ATTACK + 8]  # never itself
 
 
+@pytest.mark.parametrize("mixed", ["allies", "enemies"])
+def test_a_side_of_several_types_against_one(monkeypatch: pytest.MonkeyPatch, mixed: str) -> None:
+    """A map of one's own; of the three types in one army one has no shields. Bits tell them apart."""
+    types = ("stalker", "zealot", "marine")
+    names: dict[str, Any] = {"ally_types": types} if mixed == "allies" else {"enemy_types": types}
+    groups = {"allies": ("zealot",) * 3, "enemies": ("zealot",) * 3} | {mixed: types}
+    field = smaclite_maps.Map(
+        100,
+        (smaclite_maps.Group(9, 16, groups["allies"]),),
+        smaclite_maps.Group(13, 16, groups["enemies"]),
+        (9, 16),
+        smaclite_maps.PLAIN,
+        **names,
+    )
+    monkeypatch.setitem(smaclite_maps.LITE_MAPS, "mixed", field)
+    env = envs.make("smaclite-mixed", 1)
+    observations, info = env.reset()
+    n_bits = 3
+    enemies = observations[0, 0, 4 : 4 + 3 * (6 + n_bits)].reshape(3, 6 + n_bits)
+    assert (enemies[:, 1] > 0).all()  # the first ally sees all three
+    of_enemies = [[1, 0, 0], [0, 1, 0], [0, 0, 1]] if mixed == "enemies" else [[1, 0, 0]] * 3
+    assert enemies[:, 6:].tolist() == of_enemies
+    shields = [[1, 1, 0], [1, 1, 1]] if mixed == "enemies" else [[1, 1, 1], [1, 1, 0]]
+    assert enemies[:, 5].tolist() == shields[0]
+    state = info["state"][0]
+    allies = state[: 3 * (5 + n_bits)].reshape(3, 5 + n_bits)
+    assert allies[:, 4].tolist() == shields[1]
+    assert allies[:, 5:].tolist() == ([[1, 0, 0]] * 3 if mixed == "enemies" else [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
 def test_more_allies_than_enemies_and_a_healer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A map of one's own. Each ally has an action of the healer, the last one too."""
     units = ("medivac", *("marine",) * 5)
