@@ -4,14 +4,16 @@
 
 Runs are found by their config.json, anywhere below the folder. A run is complete when its last evaluation stands at its
 budget. What the results hold already stays: a seed with other numbers is refused, or takes the old one's place with
---replace. All seeds of a table have equally many evaluations: a run that was lengthened keeps its old distances, and
-may not fit. `results.py` says what the tables hold.
+--replace. All seeds of a table have equally many evaluations, and for an algorithm of one's own the same script: a run
+that was lengthened keeps its old distances, and may not fit. `results.py` says what the tables hold.
 """
 
 import argparse
 import io
 import json
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ import pandas as pd
 
 from envs import runs
 from envs.runs import one_sentence
-from results import COLUMNS, RESULTS, read_evaluations, read_json, read_settings, read_table, table_path
+from results import COLUMNS, RESULTS, check_script, read_evaluations, read_json, read_settings, read_table, table_path
 
 NOT_COMPLETE = "it is not complete"
 SECONDS = ["wall_seconds", "cpu_seconds"]
@@ -43,13 +45,22 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
         raise ValueError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
     if numbers.empty or numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
         raise ValueError(NOT_COMPLETE)
+    planned = config["flags"].get("eval_points", len(numbers))
+    if len(numbers) != planned and "total_timesteps" not in config["changed"]:
+        raise ValueError(
+            f"it was lengthened to the paper's budget and has {len(numbers)} evaluations instead of {planned}, so its "
+            "best one does not compare with that of other runs"
+        )
     return config, read_text(path)
 
 
-def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any], rows: pd.DataFrame) -> pd.DataFrame:
+def merge(
+    path: Path, settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any], rows: pd.DataFrame
+) -> pd.DataFrame:
     """The table with one seed more; its origin is noted in the settings.
 
-    Raises ValueError where it differs from the other seeds in its flags, its columns or the number of its evaluations.
+    Raises ValueError where it differs from the other seeds in its flags, its columns, the number of its evaluations or,
+    for an algorithm of one's own, its script.
     """
     seed = str(config["flags"]["seed"])
     alone = set(settings["seeds"]) <= {seed}  # there is nothing else that it has to fit to
@@ -68,6 +79,8 @@ def merge(settings: dict[str, Any], table: pd.DataFrame, config: dict[str, Any],
     if len(others) and list(others.columns) != ["seed", *rows.columns]:
         raise ValueError(f"it has the columns {', '.join(rows.columns)}, unlike the seeds that are there")
     last = rows.iloc[-1]
+    older = [origin for number, origin in settings["seeds"].items() if number != seed]
+    check_script(path, config["algorithm"], config.get("script"), older)
     origin = {name: config.get(name) for name in ORIGIN}
     origin |= {name: round(float(last[name]), 1) for name in SECONDS}
     seeds = settings["seeds"] | {seed: origin}
@@ -111,13 +124,25 @@ def collect_run(directory: Path, results: Path = RESULTS, replace: bool = False)
             if list(there) != list(rows["return_mean"]):
                 origin = settings["seeds"][seed].get("commit")
                 raise ValueError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
-        table = merge(settings, table, config, rows)
+        table = merge(path, settings, table, config, rows)
         text = io.StringIO()
         table.to_csv(text, index=False, lineterminator="\n")
         table_file.parent.mkdir(exist_ok=True)
         runs.write_whole(table_file, text.getvalue())
         runs.write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
     return table_file
+
+
+def run_directories(folder: Path) -> Iterator[Path]:
+    """The directories of runs below a folder, also behind symbolic links; each once."""
+    known: set[Path] = set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        if (real := Path(place).resolve()) in known:
+            folders.clear()
+            continue
+        known.add(real)
+        if "config.json" in files:
+            yield Path(place)
 
 
 @one_sentence(__file__)
@@ -128,7 +153,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--replace", action="store_true", help="a seed that is there already is replaced")
     args = parser.parse_args()
-    directories = sorted(path.parent for path in args.runs.rglob("config.json"))
+    directories = sorted(run_directories(args.runs))
     if not directories:
         parser.error(f"there are no runs in {args.runs}")
     wrong = False

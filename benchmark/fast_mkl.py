@@ -34,6 +34,8 @@ def build() -> Path:
     except RuntimeError:
         raise NotPossible("there is no home directory to keep the library in") from None
     library = cache / "marl-baselines" / "fast-mkl.so"
+    if set(str(library)) & {" ", ":"}:
+        raise NotPossible(f"nothing can be preloaded from {library.parent}, whose name has a space or a colon")
     if library.exists():
         return library
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)

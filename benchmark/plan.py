@@ -5,7 +5,6 @@ import itertools
 import json
 import shutil
 import sys
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import envs
 import training
-from envs.runs import changed_flags, parse_flags
+from envs.runs import changed_flags, is_whole, parse_flags
 from results import table_path
 
 Flags = tuple[str, ...]
@@ -53,7 +52,7 @@ def script_flags(task: str, sharing: bool, flags: Flags) -> list[str]:
 
 def chosen_algorithms(words: list[str]) -> list[str]:
     """The scripts with these names; "all": every one. InputError for a name that is none."""
-    names = sorted(path.stem for path in training.ALGOS.glob("*.py"))
+    names = training.script_names()
     for word in words:
         if word not in (*names, "all"):
             raise envs.InputError(f"unknown algorithm {word!r}; there are {', '.join(names)}.")
@@ -107,7 +106,9 @@ def variants(grid: list[GridLine], algorithm: str, family: str) -> Iterator[Flag
     choices: dict[str, list[str]] = {}
     for line in grid:
         if algorithm in line.algorithms and family in line.families:
-            choices[line.flag] = line.values
+            if (flag := line.flag.replace("-", "_")) in choices:
+                raise envs.InputError(f"the grid has two lines of {flag} for {algorithm} on tasks of {family}.")
+            choices[flag] = line.values
     for values in itertools.product(*choices.values()):
         yield tuple(word for flag, value in zip(choices, values) for word in written(flag, value))
 
@@ -162,7 +163,7 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
     if args.eval_points < 2:
         raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
     paper = module.paper_defaults(task, sharing)
-    changed = changed_flags(args, paper)
+    changed = json.loads(json.dumps(changed_flags(args, paper)))  # as config.json has them: a tuple becomes a list
     setting = {
         "algorithm": algorithm,
         "task": task,
@@ -196,6 +197,8 @@ def condition(run: Run) -> str:
     """
     checkpoints = list(run.directory.glob("checkpoint*.pt"))
     if not any(is_whole(path) for path in checkpoints):
+        if not checkpoints and is_complete(run):  # a copy without them
+            return "complete"
         cut_off = [path.name for path in checkpoints] == ["checkpoint.new.pt"]  # the very first, while it was written
         if (checkpoints and not cut_off) or (run.directory / "evaluations.csv").exists():
             raise Damaged("it has no checkpoint that can be read")
@@ -231,15 +234,6 @@ def drop_damaged_checkpoints(run: Run) -> list[str]:
     for path in damaged:
         path.unlink()
     return [path.name for path in damaged]
-
-
-def is_whole(checkpoint: Path) -> bool:
-    """Whether every byte of a checkpoint is as it was written; PyTorch writes zip files, with check sums."""
-    try:
-        with zipfile.ZipFile(checkpoint) as file:
-            return file.testzip() is None
-    except (OSError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError):
-        return False
 
 
 def is_complete(run: Run) -> bool:

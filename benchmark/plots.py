@@ -47,6 +47,7 @@ SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
 DOTS_PER_INCH = 110
 PNG_COLOURS = 64
 LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
+SHORT = 0.2  # a run that ends before this share of the paper's timesteps would be hard to see beside the whole
 NARROWEST = 8.5  # inches, so that the legend has room
 
 plt.rcParams.update(
@@ -152,12 +153,19 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
     """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds."""
     chosen = evaluations[(evaluations["family"] == family) & (evaluations["sharing"] == sharing)]
     tasks = in_order(chosen["task"])
-    figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, "share of the paper's timesteps", "return")
+    x = "share of the paper's timesteps"
+    if family == "other":  # the paper has none of these tasks
+        x, chosen = "timesteps", chosen.assign(paper_timesteps=1)
+    figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, x, "return")
     for task, panel in zip(tasks, axes):
+        end = 0.0
         for algorithm, line in mean_curves(chosen[chosen["task"] == task], "return_mean"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
-        panel.set_title(task)
-        panel.set_xlim(-0.02, 1.02)
+            end = max(end, line["x"].iloc[-1])
+        panel.set_title(task, fontsize=min(10.8, 330 / len(task)))  # a long name has the width of its panel, too
+        if SHORT < end <= 1.02:
+            end = 1
+        panel.set_xlim(-0.02 * end, 1.02 * end)
         if family == "matrix" and panel.get_ylim()[0] < -LINEAR:
             panel.set_yscale("symlog", linthresh=LINEAR)
             panel.set_yticks([-2000, -LINEAR, 0, LINEAR], minor=False)
@@ -269,8 +277,8 @@ def simulation_speed(speeds: pd.DataFrame) -> Figure:
 
 
 def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
-    """Performance profiles of each family with bootstrap intervals: the share of runs whose last evaluation is above a
-    normalised return."""
+    """Performance profiles of each family: the share of runs whose last evaluation is above a normalised return. With
+    bootstrap intervals where all tasks have several seeds."""
     chosen = normalised[normalised["sharing"] == sharing]
     families = [family for family in FAMILIES if (chosen["family"] == family).any()]
     figure, axes = panels(len(families), 3, "normalised return", "share of runs")
@@ -281,9 +289,11 @@ def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
         scores = aggregate.final_scores(rows)
         for algorithm in algorithm_order(name for name, _ in scores):
             look = style(algorithm)
-            share, low, high = aggregate.with_interval(measure, list(scores[algorithm, sharing].values()))
+            by_task = list(scores[algorithm, sharing].values())
+            share, low, high = aggregate.with_interval(measure, by_task)
             panel.step(thresholds, share, **look, lw=1.3)
-            panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")
+            if min(map(len, by_task)) > 1:  # of a single seed no interval is known
+                panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")
         panel.set_title(title_of_family(family, rows))
     figure.suptitle(f"Runs above a normalised return at the last evaluation, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])

@@ -149,12 +149,30 @@ def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
     return table
 
 
-def has_seed(results: Path, algorithm: str, task: str, sharing: bool, changed: dict[str, Any], seed: int) -> bool:
-    """Whether the results hold this run; `changed` as its config.json would have it. ValueError for a damaged table."""
+def has_seed(
+    results: Path, algorithm: str, task: str, sharing: bool, changed: dict[str, Any], seed: int, script: str
+) -> bool:
+    """Whether the results hold this run; `changed` and `script` as its config.json would have them. ValueError for a
+    damaged table, and where `check_script` raises it."""
     path = table_path(results, algorithm, task, sharing, changed)
     settings = read_settings(path)
     read_table(path, settings)
-    return str(seed) in settings["seeds"] and settings["changed"] == changed
+    there = str(seed) in settings["seeds"] and settings["changed"] == changed
+    if there:
+        check_script(path, algorithm, script, settings["seeds"].values())
+    return there
+
+
+def check_script(path: Path, algorithm: str, script: str | None, origins: Iterable[dict[str, Any]]) -> None:
+    """ValueError where the seeds of a table were made with another text of an algorithm of one's own.
+
+    The nine scripts compute the same from version to version, and only their comments change.
+    """
+    if algorithm not in ALGORITHMS and any(origin.get("script") != script for origin in origins):
+        raise ValueError(
+            f"{path}.csv holds runs of another text of {algorithm}.py: give the new one another name, or keep its "
+            "results elsewhere with --results"
+        )
 
 
 def load(results: Path = RESULTS) -> pd.DataFrame:

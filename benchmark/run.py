@@ -37,7 +37,7 @@ import fast_mkl
 import plan
 import training
 from collect import collect_run
-from envs.runs import one_sentence
+from envs.runs import one_sentence, script_hash
 from plan import Damaged, Run
 from results import PAPER_FAMILIES, RESULTS, has_seed
 from view import LineView, TableView, clock, make_view, read_progress
@@ -302,8 +302,9 @@ class Campaign:
 
 
 def in_results(run: Run, results: Path) -> bool:
-    """Whether a run has been collected. ValueError where its table is damaged."""
-    return has_seed(results, run.algorithm, run.task, run.sharing, run.changed, run.seed)
+    """Whether a run has been collected. ValueError where its table is damaged, or of another text of its script."""
+    script = script_hash(training.ALGOS / f"{run.algorithm}.py")
+    return has_seed(results, run.algorithm, run.task, run.sharing, run.changed, run.seed, script)
 
 
 def in_use(directory: Path) -> bool:

@@ -32,6 +32,7 @@ maximum lies at step 0, before any training, and is the luck of random networks.
 a value of the paper that cannot be, since its average is above its maximum. Difference: ours minus the paper's, in
 units of both intervals together (the root of the sum of their squares, at least 0.01; for a single seed, whose interval
 is not known, the paper's standard deviation is taken)."""
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 LATEX_SIGNS = {
     "_": r"\_",
     "±": r"$\pm$",
@@ -39,7 +40,7 @@ LATEX_SIGNS = {
     "°": r"$^{\circ}$",
     "†": r"$^{\dagger}$",
     "‡": r"$^{\ddagger}$",
-    **{sign: f"$^{{{number}}}$" for number, sign in enumerate("¹²³⁴", 1)},
+    **{chr(sign): f"$^{{{chr(digit)}}}$" for digit, sign in SUPERSCRIPTS.items()},
 }
 
 
@@ -107,8 +108,8 @@ def number(mean: float, interval: float) -> str:
 
 def signs(cell: Any) -> str:
     """The legend's signs for a cell of ours, a space before them."""
-    few = "¹²³⁴"[cell.seeds - 1] if cell.seeds < PAPER_SEEDS else ""
-    found = few + "°" * cell.at_start + "†" * cell.other_budget
+    seeds = "" if cell.seeds == PAPER_SEEDS else str(cell.seeds).translate(SUPERSCRIPTS)
+    found = seeds + "°" * cell.at_start + "†" * cell.other_budget
     return f" {found}" if found else ""
 
 
@@ -203,7 +204,7 @@ def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
             made.append(r"\midrule")
         text = " & ".join(line).replace(r"\*", "*")
         text = re.sub(r"\*\*(.*?)\*\*", r"\\textbf{\1}", text)
-        made.append(re.sub("[_±*°†‡¹²³⁴]", lambda sign: LATEX_SIGNS[sign[0]], text) + r" \\")
+        made.append(re.sub("[_±*°†‡⁰¹²³⁴⁵⁶⁷⁸⁹]", lambda sign: LATEX_SIGNS[sign[0]], text) + r" \\")
     return "\n".join([*made, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -225,7 +226,7 @@ def variants(evaluations: pd.DataFrame, ours: pd.DataFrame) -> str:
         budget = budgets[row.task, row.algorithm, row.sharing, row.setting]
         if set(changed) <= {"total_timesteps"} and (row.task, row.algorithm, row.sharing, budget) in shown:
             continue
-        flags = ", ".join(f"{name} {value}" for name, value in changed.items())
+        flags = ", ".join(f"{name} {value}" for name, value in changed.items()).replace("|", r"\|")
         values = [
             number(row.maximum, row.maximum_interval),
             number(row.average, row.average_interval),

@@ -47,6 +47,12 @@ class Plain(nn.Module):
         return self.last(x)
 
 
+def script_names() -> list[str]:
+    """The algorithms: what lies in algos/ and has flags, but no modules that only help such scripts."""
+    paths = sorted(path for path in ALGOS.glob("*.py") if not path.name.startswith("."))  # an editor's lock file
+    return [path.stem for path in paths if "\nclass Args" in path.read_text(encoding="utf-8")]
+
+
 def load_script(name: str) -> ModuleType:
     """algos/<name>.py as a module, made anew."""
     spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
@@ -163,6 +169,8 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     """Trains for some seconds. timer: `time.process_time` counts this process alone, whatever else the machine does."""
     module: Any = load_script(name)
     args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
+    if hasattr(args, "buffer_size"):  # the whole replay may be larger than the disk that has temporary files
+        args.buffer_size = min(args.buffer_size, 20 * args.batch_size)
     torch.set_num_threads(1)
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect = timed(module.collect, parts, "acting", timer)
@@ -191,7 +199,7 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
 def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = sorted(path.stem for path in ALGOS.glob("*.py"))
+    names = script_names()
     parser.add_argument(
         "--algorithms", nargs="+", default=["mappo"], choices=names, metavar="name", help=", ".join(names)
     )

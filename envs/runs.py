@@ -31,6 +31,7 @@ import sys
 import textwrap
 import threading
 import time
+import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -176,7 +177,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
             elif kind.startswith("Literal"):
                 flag += " {" + ",".join(re.findall(r'"(\w+)"', kind)) + "}"
             else:
-                flag += {"int": " INTEGER", "float": " NUMBER", "str": " TEXT"}[kind]
+                flag += {"int": " INTEGER", "float": " NUMBER", "str": " TEXT"}.get(kind, " VALUE")
             value = getattr(default, name)
             if value != "":
                 text += f" (default: {value})"
@@ -194,6 +195,8 @@ def show_help(args_class: type, default: Any, description: str) -> None:
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
 OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
+
+SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -221,6 +224,16 @@ def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[s
     return saved
 
 
+def is_whole(checkpoint: Path) -> bool:
+    """Whether every byte of a checkpoint is as it was written. PyTorch writes zip files, and does not look at their
+    check sums itself."""
+    try:
+        with zipfile.ZipFile(checkpoint) as file:
+            return file.testzip() is None
+    except Exception:  # zipfile raises almost anything on a damaged file
+        return False
+
+
 def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
     """The last checkpoint in a directory that is whole, or None where there has never been one.
 
@@ -231,6 +244,9 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
     damaged = []
     for path in (Path(directory, name) for name in CHECKPOINTS):
         if not path.exists():
+            continue
+        if not is_whole(path):
+            damaged.append(path.name)
             continue
         try:
             saved = torch.load(path, map_location="cpu", weights_only=True)
@@ -275,7 +291,7 @@ class RunDirectory:
         self._stopwatch = Stopwatch()
         self.path = path = Path(args.run_dir) if args.run_dir else self._default_path()
         try:
-            found = sorted(os.listdir(path)) if path.exists() else []
+            found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
             begun = any(name.removesuffix(".new") in (*CHECKPOINTS, "progress.json") for name in found)
             if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
@@ -325,8 +341,14 @@ class RunDirectory:
             words = as_flag("total_timesteps", flags["total_timesteps"])
             raise InputError(f"{self.path} was begun with {words}; timesteps can only be added.")
         if now["flags"]["total_timesteps"] > flags["total_timesteps"] and flags["eval_points"] > 1:
-            apart = saved["budget"] / (flags["eval_points"] - 1)
-            say(f"{self.path} becomes longer; its evaluations stay {apart:,.0f} steps apart.")
+            intervals, total = flags["eval_points"] - 1, now["flags"]["total_timesteps"]
+            apart = f"its evaluations stay {saved['budget'] / intervals:,.0f} steps apart"
+            if total * intervals % saved["budget"]:  # else there would be none at its end
+                step = saved["budget"] // math.gcd(saved["budget"], intervals)
+                fitting = max(total // step * step, flags["total_timesteps"])
+                words = f"{as_flag('total_timesteps', fitting)} or {fitting + step}"
+                raise InputError(f"{self.path} cannot become so long, since {apart}: {words} fits.")
+            say(f"{self.path} becomes longer; {apart}.")
         self._stopwatch = Stopwatch(**saved["seconds"])
         self._write_tables(saved)
         return saved
@@ -347,7 +369,10 @@ class RunDirectory:
         last, previous, new = (self.path / name for name in CHECKPOINTS)
         in_memory = io.BytesIO()  # on a full disk torch.save itself would end with a RuntimeError
         torch.save(saved, in_memory)
-        new.write_bytes(in_memory.getbuffer())
+        with open(new, "wb") as file:
+            file.write(in_memory.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())  # it takes the place of a good one
         if last.exists():
             last.replace(previous)
         new.replace(last)
@@ -668,9 +693,14 @@ def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[st
         "changed": changed_flags(args, default),
         "paper_timesteps": default.total_timesteps,
         "version": importlib.metadata.version("marl-baselines"),
-        "script": hashlib.sha256(Path(script).read_bytes()).hexdigest()[:16],
+        "script": script_hash(script),
         **provenance(),
     }
+
+
+def script_hash(script: str | os.PathLike[str]) -> str:
+    """Names the text of a script."""
+    return hashlib.sha256(Path(script).read_bytes()).hexdigest()[:16]
 
 
 def provenance() -> dict[str, Any]:
@@ -688,6 +718,8 @@ def provenance() -> dict[str, Any]:
 def _commit() -> str | None:
     """The checkout's commit, "-dirty" behind it where files were changed; None outside a checkout."""
     command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    if not Path(__file__).parents[1].joinpath(".git").exists():  # installed somewhere, perhaps in another checkout
+        return None
     try:
         done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):

@@ -292,6 +292,28 @@ def test_a_longer_run_continues_a_complete_one(mappo_run, monkeypatch, capsys, t
     assert [int(row["timestep"]) // 1000 for row in rows] == list(range(4))
 
 
+def test_a_longer_run_ends_with_an_evaluation(mappo_run, monkeypatch, capsys, tmp_path):
+    """At 1,000 steps' distance there would be none at 2,600, and the run would never count as complete."""
+    flags, directory = mappo_run
+    longer = copy_of(directory, tmp_path / "run")
+    code, said = main(monkeypatch, capsys, "mappo", *flags, longer, "--resume", "--total-timesteps", 2600)
+    assert code == 2 and "--total-timesteps 2000 or 3000 fits" in said
+    assert evaluations(longer) == evaluations(directory)
+
+
+def test_a_checkpoint_with_a_hole_is_not_taken(mappo_run, tmp_path):
+    """As a power cut may leave it: PyTorch would load the zeros as weights."""
+    directory = copy_of(mappo_run[1], tmp_path / "run")
+    rows = [len(torch.load(directory / name)["rows"]) for name in ("checkpoint.previous.pt", "checkpoint.pt")]
+    last = directory / "checkpoint.pt"
+    content = bytearray(last.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 64] = bytes(64)
+    last.write_bytes(content)
+    assert torch.load(last)["rows"]
+    assert len(runs.read_checkpoint(directory, "mappo")["rows"]) == rows[0] < rows[1]
+
+
 def test_a_complete_run_of_a_replay_cannot_grow(monkeypatch, capsys, tmp_path):
     flags = [*short("iql"), "--total-timesteps", 500, "--eval-points", 2, "--run-dir", tmp_path / "run"]
     assert main(monkeypatch, capsys, "iql", *flags)[0] == 0

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -127,6 +128,44 @@ def test_flags_of_one_run_are_no_part_of_a_setting(tmp_path):
     assert "env_workers" not in json.loads(path.with_suffix(".json").read_text())["flags"]
 
 
+def test_a_run_that_was_lengthened_to_the_papers_budget_has_too_many_evaluations(tmp_path):
+    lengthened = make_run(tmp_path / "run", returns=(0.0, 5.0, 10.5), eval_points=2)
+    with pytest.raises(ValueError, match="has 3 evaluations instead of 2"):
+        collect.collect_run(lengthened, tmp_path / "results")
+    own_budget = make_run(tmp_path / "own", 0, (0.0, 5.0, 10.5), changed={"total_timesteps": 1000}, eval_points=2)
+    collect.collect_run(own_budget, tmp_path / "results")
+
+
+def test_seeds_of_another_text_of_ones_own_script_do_not_mix(tmp_path):
+    """Of the nine they do: their versions compute the same."""
+    for algorithm in ("mappo", "own"):
+        for seed, script in enumerate(("old", "new")):
+            directory = make_run(tmp_path / f"{algorithm}{seed}", seed)
+            config = json.loads((directory / "config.json").read_text())
+            (directory / "config.json").write_text(json.dumps(config | {"algorithm": algorithm, "script": script}))
+    there = tmp_path / "results"
+    for name in ("mappo0", "mappo1", "own0", "own0"):
+        collect.collect_run(tmp_path / name, there)
+    with pytest.raises(ValueError, match=r"holds runs of another text of own\.py"):
+        collect.collect_run(tmp_path / "own1", there)
+
+    def known(seed, script):
+        return results.has_seed(there, "own", "matrix-climbing", True, {}, seed, script)
+
+    assert known(0, "old") and not known(1, "new")
+    with pytest.raises(ValueError, match=r"holds runs of another text of own\.py"):
+        known(0, "new")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_runs_behind_links_are_found_once(tmp_path):
+    make_run(tmp_path / "machine" / "run")
+    (tmp_path / "all").mkdir()
+    for name, target in (("one", tmp_path / "machine"), ("two", tmp_path / "machine"), ("loop", tmp_path / "all")):
+        (tmp_path / "all" / name).symlink_to(target)
+    assert list(collect.run_directories(tmp_path / "all")) == [tmp_path / "all" / "one" / "run"]
+
+
 def test_incomplete_runs_are_left_out(tmp_path):
     make_run(tmp_path / "runs" / "short", reached=2_499_999)
     shutil.copytree(tmp_path / "runs" / "short", tmp_path / "runs" / "unborn")
@@ -141,10 +180,10 @@ def test_changed_flags_are_another_table(tmp_path):
     changed = {"total_timesteps": 1000, "learning_rate": 1e-05}
     path = collect.collect_run(make_run(tmp_path / "run", changed=changed), there)
     assert path.name == "mappo-shared-learning-rate=1e-05-total-timesteps=1000.csv"
-    assert results.has_seed(there, "mappo", "matrix-climbing", True, changed, 0)
+    assert results.has_seed(there, "mappo", "matrix-climbing", True, changed, 0, "")
     for other in (("mappo", True, changed, 1), ("mappo", False, changed, 0), ("mappo", True, {}, 0)):
         algorithm, sharing, flags, seed = other
-        assert not results.has_seed(there, algorithm, "matrix-climbing", sharing, flags, seed)
+        assert not results.has_seed(there, algorithm, "matrix-climbing", sharing, flags, seed, "")
     assert results.load(there)["setting"].unique() == ['{"learning_rate": 1e-05, "total_timesteps": 1000}']
 
 
@@ -278,7 +317,7 @@ def test_a_damaged_table_is_named_by_all(tmp_path, monkeypatch, capsys, damage):
     before = path.read_bytes()
     said = f"{path.name} is damaged"
     with pytest.raises(ValueError, match=said):
-        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0)
+        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0, "")
     with pytest.raises(ValueError, match=said):
         collect.collect_run(make_run(tmp_path / "2", 2, returns=(0.0, 5.0, 10.5)), there)
     for flags in (["--results", there, "--output", tmp_path / "out"], ["--grid", there]):
@@ -312,7 +351,7 @@ def test_damaged_settings_are_named(tmp_path, damage):
     with pytest.raises(ValueError, match=f"{path.name} is damaged"):
         results.load(there)
     with pytest.raises(ValueError, match=f"{path.name} is damaged"):
-        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0)
+        results.has_seed(there, "mappo", "matrix-climbing", True, {}, 0, "")
     with pytest.raises(ValueError, match=f"{path.name} is damaged"):
         collect.collect_run(make_run(tmp_path / "1", 1), there)
     assert path.read_text() == before
@@ -517,6 +556,9 @@ def test_the_signs_of_cells():
     assert cells["MAPPO"] == "**9.00 ± 0.00** ²°" and cells["IA2C"] == "5.00 ± 0.00 †"
     assert cells["QMIX |"] == "**9.00 ± 0.00** |"  # printed like the best, so bold as well
     assert paper.split(" | ")[1] == "paper" and "195.00" not in paper and "175.00 ± 0.00" in paper
+    many = compared(evaluations([[0, 1]] * 10))
+    assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", True)
+    assert "$^{1}$$^{0}$" in tables.latex(many, "max_return", True)
     averages = tables.markdown(both, "average_return", True).splitlines()
     assert dict(zip(averages[0].split(" | "), averages[4].split(" | ")))["IA2C"] == "-"  # another budget's average
     assert "**" not in averages[2]
@@ -670,6 +712,33 @@ def test_cpu_hours():
     assert hours.loc[("matrix", "mappo", True)].to_dict() == {"runs": 4, "total": 8, "mean": 2}
 
 
+def test_curves_have_the_width_of_their_runs():
+    """Those of tasks that the paper does not have are drawn over timesteps."""
+    for task, budget, end in (
+        ("matrix-climbing", 2_500_000, 1),
+        ("matrix-climbing", 1_250_000, 1),
+        ("matrix-climbing", 25_000, 0.01),
+        ("matrix-climbing", 5_000_000, 2),
+        ("gymnasium:lbforaging:Foraging-8x8-2p-2f-coop-v3", 25_000, 25_000),
+    ):
+        rows = evaluations([[0, 1]] * 2, task=task, budget=budget)
+        figure = plots.learning_curves(rows, results.family(task), True)
+        panel = figure.axes[0]
+        assert panel.get_xlim() == pytest.approx((-0.02 * end, 1.02 * end))
+        figure.draw_without_rendering()
+        assert panel.title.get_window_extent().width <= figure.bbox.width
+        assert panel.get_xlabel() == ("timesteps" if ":" in task else "share of the paper's timesteps")
+        plots.plt.close(figure)
+
+
+@pytest.mark.parametrize("seeds, bands", [(1, 0), (2, 1)])
+def test_profiles_of_single_seeds_have_no_interval(seeds, bands):
+    both = [evaluations([[0, 1]] * 3), evaluations([[0, 1]] * seeds, task="matrix-penalty-0")]
+    figure = plots.profiles(aggregate.normalise(pd.concat(both)), True)
+    assert len(figure.axes[0].collections) == bands
+    plots.plt.close(figure)
+
+
 def test_curves_are_means_of_tasks():
     """Task one 0 and 4 (interval 4), task two 8 three times (interval 0): mean (2 + 8) / 2, interval 4 / 2."""
     one = evaluations([[0, 0], [0, 4]])
@@ -709,6 +778,13 @@ def test_the_papers_own_task_goes_before_the_one_that_stands_in_for_it():
     for runs in (parts, parts[::-1]):
         assert claims.View(results.our_cells(pd.concat(runs))).value("mappo", "smac-3s5z") == 1
     assert claims.View(results.our_cells(parts[1])).value("mappo", "smac-3s5z") == 2
+
+
+def test_the_claims_do_not_compare_two_games():
+    """Where nearly all was run on the stand-in, one algorithm's result of the paper's own task is left aside."""
+    all_nine = [evaluations([[0, 1]] * 5, "smaclite-3s5z-sc2", name) for name in results.ALGORITHMS]
+    view = claims.View(results.our_cells(pd.concat([*all_nine, evaluations([[0, 9]] * 5, task="smac-3s5z")])))
+    assert set(view.values("smac-3s5z").values()) == {1}
 
 
 def test_what_the_claims_words_mean():
@@ -1114,6 +1190,22 @@ def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
     with pytest.raises(SystemExit, match="2"):
         run_here(monkeypatch, training, *flags)
     assert said in capsys.readouterr().err
+
+
+def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, tmp_path):
+    """One of QMIX's on the largest map takes 11 GiB."""
+    monkeypatch.setattr(training.tempfile, "tempdir", str(tmp_path))
+    sizes = []
+    file = training.runs.EpisodeFile
+
+    def noted(path, fields, size, played):
+        sizes.append(size)
+        return file(path, fields, size, played)
+
+    monkeypatch.setattr(training.runs, "EpisodeFile", noted)
+    flags = ["--env", "matrix-climbing", "--batch-size", "4", "--hidden-dim", "8"]
+    assert training.measure("vdn", flags, 0.05).rate > 0
+    assert sizes == [80]
 
 
 @pytest.mark.parametrize(

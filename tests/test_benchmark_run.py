@@ -304,6 +304,10 @@ class TestPlan:
             ("algorithms,families,flag,values\nia2c,matrix,pace\n", "its columns must be"),
             ("algorithms,families,flag,values\nia2c,matrix,pace,\n", "without values: pace"),
             ("algorithms,families,flag,values\nmappo,matrix,pace,1\n", "no line for ia2c"),
+            (
+                "algorithms,families,flag,values\nia2c,matrix,eval_points,5\nia2c iql,matrix lbf,eval-points,9\n",
+                "two lines of eval_points for ia2c",
+            ),
         ],
     )
     def test_a_grid_that_is_none(self, monkeypatch, capsys, text, said):
@@ -311,8 +315,32 @@ class TestPlan:
         assert campaign(monkeypatch, "--grid", "grid.csv") == 2
         assert said in capsys.readouterr().err
 
+    def test_values_that_json_changes(self, monkeypatch):
+        """A flag of one's own script may be a tuple, which config.json has as a list."""
+        monkeypatch.setattr(plan, "changed_flags", lambda args, default: {"layers": (32, 16)})
+        (run_of_tuple,) = make_plan("ia2c", "matrix-climbing")
+        assert run_of_tuple.changed == {"layers": [32, 16]}
+
+    def test_a_module_without_flags_is_no_algorithm(self, scripts):
+        (scripts / "helpers.py").write_text("def help():\n    pass\n")
+        (scripts / ".#mappo.py").symlink_to("nobody@nowhere.1")
+        assert plan.chosen_algorithms(["all"]) == ["ia2c", "iql", "mappo"]
+
 
 class TestRunning:
+    def test_another_text_of_ones_own_script(self, monkeypatch, capsys, scripts):
+        (scripts / "own.py").write_text(STAND_IN)
+        words = ["--algorithms", "own", "--seeds", 1]
+        assert campaign(monkeypatch, *words) == 0
+        config = Path("results/matrix-climbing/own-shared.json")
+        settings = json.loads(config.read_text())
+        settings["seeds"]["0"]["script"] = envs.runs.script_hash(scripts / "own.py")  # the stand-in does not say it
+        config.write_text(json.dumps(settings))
+        assert campaign(monkeypatch, *words) == 0
+        (scripts / "own.py").write_text(f"{STAND_IN}# changed\n")
+        assert campaign(monkeypatch, *words) == 1
+        assert "holds runs of another text of own.py" in capsys.readouterr().out
+
     def test_runs_are_collected_and_then_skipped(self, monkeypatch, capsys):
         words = ["--algorithms", "ia2c", "iql", "--seeds", 2, "--sharing", "both"]
         assert campaign(monkeypatch, *words) == 0
@@ -537,6 +565,13 @@ class TestDamage:
         (complete / "evaluations.csv").unlink()
         self.test_of_all_checkpoints(monkeypatch, capsys, complete)
 
+    def test_a_copy_without_checkpoints_is_complete(self, monkeypatch, complete):
+        for path in complete.glob("*.pt"):
+            path.unlink()
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert not logs and seeds_of("ia2c-shared") == {0: 20.0} and not Path("runs-damaged").exists()
+
     def test_the_checkpoint_before_suffices(self, monkeypatch, capsys, complete):
         """The run is gone on with from there, for 10 steps."""
         damage_checkpoint(complete / "checkpoint.pt")
@@ -754,6 +789,16 @@ class TestFastMKL:
         for before, after in (("", "/fast-mkl.so"), ("/x.so", "/fast-mkl.so:/x.so"), ("/fast-mkl.so:/y", None)):
             monkeypatch.setenv("LD_PRELOAD", before)
             assert fast_mkl.preload() == (after or before)
+
+    def test_a_path_that_cannot_be_preloaded(self, monkeypatch, tmp_path):
+        """Spaces and colons separate what is preloaded."""
+        monkeypatch.setattr(Path, "read_text", lambda path: "AuthenticAMD")
+        monkeypatch.setattr(fast_mkl.sys, "platform", "linux")
+        monkeypatch.setattr(fast_mkl.platform, "machine", lambda: "x86_64")
+        for name in ("my cache", "a:b"):
+            monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / name))
+            with pytest.raises(fast_mkl.NotPossible, match="whose name has a space or a colon"):
+                fast_mkl.build()
 
     def test_without_a_home(self, monkeypatch):
         def no_home(path):

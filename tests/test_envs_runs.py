@@ -42,6 +42,12 @@ class Args:
     track: bool = False  # somewhere
 
 
+@dataclass
+class OwnArgs:
+    # network
+    layers: tuple[int, ...] = (64, 64)  # widths
+
+
 def open_directory(path: Path, **flags: Any) -> runs.RunDirectory:
     args = Args(run_dir=str(path), **flags)
     return runs.RunDirectory(__file__, args, Args())
@@ -348,19 +354,24 @@ class TestCommit:
             done = subprocess.run(["git", *identity, *words], cwd=tmp_path, check=True, capture_output=True, text=True)
             return done.stdout.strip()
 
-        monkeypatch.setattr(runs, "__file__", str(tmp_path / "runs.py"))
+        (tmp_path / "envs").mkdir()
+        monkeypatch.setattr(runs, "__file__", str(tmp_path / "envs" / "runs.py"))
         for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
             monkeypatch.delenv(name, raising=False)
         monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
         assert runs._commit() is None
         git("init")
-        (tmp_path / "runs.py").write_text("1")
-        git("add", "runs.py")
+        (tmp_path / "envs" / "runs.py").write_text("1")
+        git("add", "envs/runs.py")
         git("commit", "-m", "first")
         git("tag", "a-tag")
         assert runs._commit() == git("rev-parse", "HEAD")
-        (tmp_path / "runs.py").write_text("2")
+        (tmp_path / "envs" / "runs.py").write_text("2")
         assert runs._commit() == git("rev-parse", "HEAD") + "-dirty"
+        installed = tmp_path / "site-packages" / "envs" / "runs.py"  # in another project's checkout
+        installed.parent.mkdir(parents=True)
+        monkeypatch.setattr(runs, "__file__", str(installed))
+        assert runs._commit() is None
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
@@ -402,6 +413,22 @@ def test_a_reader_that_has_seen_enough(flush: bool, code: int, said: str) -> Non
     )
     os.close(theirs)
     assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_help_for_flags_of_other_kinds(capsys: Any) -> None:
+    """Of a changed copy of a script."""
+    runs.show_help(OwnArgs, OwnArgs(), "a script")
+    assert "--layers VALUE" in capsys.readouterr().out
+
+
+def test_what_the_system_puts_into_a_folder_does_not_matter(tmp_path: Path) -> None:
+    open_directory(tmp_path / "run")._lock.lock.release()
+    (tmp_path / "run" / "progress.json").write_text("{}")
+    (tmp_path / "run" / ".DS_Store").touch()
+    open_directory(tmp_path / "run", resume=True)._lock.lock.release()
+    (tmp_path / "run" / "notes.txt").touch()
+    with pytest.raises(InputError, match=r"not a run of ours, such as 'notes\.txt'"):
+        open_directory(tmp_path / "run", resume=True)
 
 
 def test_help_in_the_narrowest_terminal(monkeypatch: Any, capsys: Any) -> None:
