@@ -64,9 +64,9 @@ def is_the_papers(setting: str) -> bool:
 
 
 def searched_flags(variants: list[Flags]) -> list[str]:
-    """The flags that are not the same in all variants. A flag that only later versions of the scripts have is none."""
-    common = [name for name in variants[0] if all(name in variant for variant in variants)]
-    return [name for name in common if len({str(variant[name]) for variant in variants}) > 1]
+    """The flags that are not the same in all variants that have them: later versions of a script have more."""
+    names = dict.fromkeys(name for variant in variants for name in variant)
+    return [name for name in names if len({str(variant[name]) for variant in variants if name in variant}) > 1]
 
 
 def in_words(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) -> str:
@@ -74,7 +74,7 @@ def in_words(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) ->
     runs, steps = rows["seeds"].sum(), variants[0]["total_timesteps"]
     budget = f"{steps:,} timesteps" + ("" if steps == paper_timesteps else f" (the paper: {paper_timesteps:,})")
     names = searched_flags(variants)
-    winner = ", ".join(f"{name} {variants[0][name]}" for name in names) or "the only variant"
+    winner = ", ".join(f"{name} {variants[0].get(name, '-')}" for name in names) or "the only variant"
     many = "1 variant" if len(rows) == 1 else f"{len(rows)} variants"
     text = [f"{many}, {runs} {'run' if runs == 1 else 'runs'} of {budget}. The winner: {winner}."]
     equals = (rows["score"] == rows["score"].iloc[0]).sum()
@@ -98,6 +98,6 @@ def variants_table(rows: pd.DataFrame, variants: list[Flags]) -> str:
     lines = [["", *names, "seeds", "score", "average return"], ["---"] * (len(names) + 4)]
     for place, (row, variant) in enumerate(zip(rows.itertuples(), variants), start=1):
         choice = " (the paper's)" if is_the_papers(row.setting) else ""
-        flags = [str(variant[name]) for name in names]
+        flags = [str(variant.get(name, "-")) for name in names]
         lines.append([f"{place}{choice}", *flags, str(row.seeds), f"{row.score:.2f}", f"{row.average:.2f}"])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

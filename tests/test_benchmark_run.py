@@ -1083,6 +1083,17 @@ class TestSearch:
         older.write_text(json.dumps(settings))
         assert "| 1 | 1.0 | 1 | 40.00 | 20.00 |" in search.search_report(Path("results"))
 
+    def test_a_search_of_such_a_flag(self, monkeypatch):
+        """The older variant does not have it."""
+        for pace in (0.001, 0.002, 0.003):
+            assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", pace) == 0
+        older = Path("results/matrix-climbing/ia2c-shared.json")  # 0.002 is the stand-in's default
+        settings = json.loads(older.read_text())
+        del settings["flags"]["pace"]
+        older.write_text(json.dumps(settings))
+        said = search.search_report(Path("results"))
+        assert "|  | pace | seeds | score |" in said and "(the paper's) | - | 1 | 20.00 |" in said
+
     def test_nothing_was_searched(self):
         with pytest.raises(ValueError, match="no results in nowhere"):
             search.search_report(Path("nowhere"))
