@@ -68,9 +68,9 @@ class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
-    flatten_images: bool = False  # make vectors of its images
-    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
+    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
+    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
     num_envs: int = 10  # environments side by side; a batch is one episode of each
@@ -143,7 +143,7 @@ class MultiAgentNetwork(nn.Module):
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output]."""
+        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
         n = len(self.networks)
         if hidden is None:
             hidden = [None] * n
@@ -210,7 +210,7 @@ def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
-    """Mean of x [time, env, agent] over agents and over the steps that were played [time, env]."""
+    """Mean of x [time, env, agent or 1] over agents and over the played steps [time, env]."""
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
@@ -238,7 +238,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False once the episode has ended
+    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -320,7 +320,7 @@ def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch,
 # --- update ---
 def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> Tensor:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
-    parameters = optimiser.param_groups[0]["params"]
+    parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
     loss.backward(inputs=parameters)
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
@@ -356,9 +356,9 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
 
     logits = agents(batch.observations[:-1])[0]  # [time, env, agent, action]
     log_probs = log_probabilities(logits, batch.action_masks[:-1])
-    taken = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
+    log_pi = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     entropy = -(log_probs.exp() * log_probs).sum(-1)
-    actor_loss = -played_mean(advantages * taken + args.entropy_coef * entropy, batch.played)
+    actor_loss = -played_mean(advantages * log_pi + args.entropy_coef * entropy, batch.played)
     actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
 
     update_target(target_critic, critic, args.target_update, updates)
@@ -400,6 +400,8 @@ def train(args: Args) -> None:
         metrics = update(args, parts, batch, run.updates)
         run.advance(batch, returns, metrics)
         run.evaluate_if_due()
+        if run.directory.save_is_due:
+            run.save()
     run.complete()
 
 

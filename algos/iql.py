@@ -14,8 +14,8 @@ r is the team's reward. Q chooses the next action and Q' values it (double Q-lea
 
 Algorithm: Tan, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents" (1993).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). As in that paper a time-out counts as an end. Unlike in its code,
-padding does not count when rewards are standardised.
+in Cooperative Tasks" (2021). As in that paper a time-out counts as an end. Unlike in its code, the
+rows after an episode's end do not count when rewards are standardised.
 
     python algos/iql.py --env lbf-8x8-2p-2f-c
     python algos/iql.py --watch runs/lbf-8x8-2p-2f-c/iql-shared/seed0
@@ -63,9 +63,9 @@ class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
-    flatten_images: bool = False  # make vectors of its images
-    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
+    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
+    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 2_000_000  # length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
@@ -141,7 +141,7 @@ class MultiAgentNetwork(nn.Module):
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output]."""
+        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
         n = len(self.networks)
         if hidden is None:
             hidden = [None] * n
@@ -198,7 +198,7 @@ def double_q_values(q_values: Tensor, target_q_values: Tensor, action_masks: Ten
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
-    """Mean of x [time, env, agent] over agents and over the steps that were played [time, env]."""
+    """Mean of x [time, env, agent or 1] over agents and over the played steps [time, env]."""
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
@@ -211,7 +211,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False once the episode has ended
+    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -325,7 +325,7 @@ class Replay:
 # --- update ---
 def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> Tensor:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
-    parameters = optimiser.param_groups[0]["params"]
+    parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
     loss.backward(inputs=parameters)
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
@@ -374,7 +374,7 @@ def train(args: Args) -> None:
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     parts = {  # what a checkpoint keeps
         "agents": agents,
-        "target_agents": deepcopy(agents),
+        "target_agents": deepcopy(agents).to(args.device),  # makes a GRU's weights one block again
         "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
         "optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
     }
@@ -397,7 +397,7 @@ def train(args: Args) -> None:
             metrics["policy/epsilon"] = torch.tensor(team.epsilon)
         run.advance(episode, returns, metrics)
         run.evaluate_if_due()
-        if env.episode % replay.file.checkpoint_every == 0:
+        if env.episode % replay.file.checkpoint_every == 0 or run.directory.save_is_due:
             run.save()
     run.complete()
 

@@ -8,17 +8,17 @@ it (Gumbel-softmax, straight through). One environment plays one episode. Then a
 make one gradient step each, on a batch of whole episodes from the replay. Q' and mu' are older or
 slowly moving copies of critic and policies; mu' takes the likeliest action.
 
-    y_i,t     = r_t + gamma Q'_i(s_{t+1}, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))
+    y_i,t     = r_t + gamma Q'_i(s_{t+1}, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))  only r_t at the end
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
     L(actor)  = mean over agents and steps of - Q_i(s_t, (a_i, a_-i)) + c mean_a logit_i(a)^2
 
-Where the episode ended, y_i,t is only r_t. In L(actor) the present policies draw all actions, a_i
-with a gradient and a_-i without; c, --actor-regularisation, keeps them from becoming certain early.
+r is the team's reward. In L(actor) the present policies draw all actions, a_i with a gradient and
+a_-i without; c, --actor-regularisation, keeps them from becoming certain early.
 
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
-(2017). Hyperparameters: Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out
-counts as an end. Its code left out the steps that end an episode, trained on padding, and began the
-target network's GRU one step late. We do not, and our results on lbf-8x8-2p-2f-c are better.
+(2017). Hyperparameters: Papoudakis et al. (2021), arXiv:2006.07869. A time-out counts as an end.
+The paper's code left out the steps that end an episode, trained on the rows after an end, and began
+the target network's GRU one step late. We do not, and our results on lbf-8x8-2p-2f-c are better.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0
@@ -65,9 +65,9 @@ class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
-    flatten_images: bool = False  # make vectors of its images
-    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
+    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
+    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 2_000_000  # length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
@@ -140,7 +140,7 @@ class MultiAgentNetwork(nn.Module):
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output]."""
+        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
         n = len(self.networks)
         if hidden is None:
             hidden = [None] * n
@@ -182,7 +182,7 @@ class RewardStandardiser(nn.Module):
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
-    """Mean of x [time, env, agent] over agents and over the steps that were played [time, env]."""
+    """Mean of x [time, env, agent or 1] over agents and over the played steps [time, env]."""
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
@@ -216,7 +216,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False once the episode has ended
+    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -328,7 +328,7 @@ class Replay:
 # --- update ---
 def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> Tensor:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
-    parameters = optimiser.param_groups[0]["params"]
+    parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
     loss.backward(inputs=parameters)
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
@@ -371,7 +371,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
     masks = batch.action_masks[:-1]
     # The noise comes from PyTorch's global generator; gumbel_softmax can use no other. On the CPU
     # this is what `train` seeds and a checkpoint keeps, so a resumed run draws the same noise.
-    available = logits.masked_fill(~masks, -1e9)
+    available = logits.masked_fill(~masks, -1e9)  # not -inf: after an end no action is available
     drawn = nn.functional.gumbel_softmax(available, hard=True)
     own = torch.eye(n_agents, dtype=torch.bool, device=logits.device).unsqueeze(-1)  # [i, j, 1]
     joint = torch.where(own, drawn.unsqueeze(2), drawn.detach().unsqueeze(2))  # [..., i, j, action]
@@ -383,7 +383,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
     update_target(target_agents, agents, args.target_update, updates)
     update_target(target_critic, critic, args.target_update, updates)
     with torch.no_grad():
-        entropy = torch.distributions.Categorical(logits=available).entropy()
+        entropy = -(available.softmax(-1) * available.log_softmax(-1)).sum(-1)
         return {
             "loss/critic": critic_loss,
             "loss/actor": actor_loss,
@@ -406,7 +406,7 @@ def train(args: Args) -> None:
     critic = MultiAgentNetwork(args, env.n_agents, critic_size, 1)
     parts = {  # what a checkpoint keeps
         "agents": agents,
-        "target_agents": deepcopy(agents),
+        "target_agents": deepcopy(agents).to(args.device),  # makes a GRU's weights one block again
         "critic": critic,
         "target_critic": deepcopy(critic),
         "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
@@ -430,7 +430,7 @@ def train(args: Args) -> None:
             metrics = update(args, parts, replay.sample(rng), run.updates)
         run.advance(episode, returns, metrics)
         run.evaluate_if_due()
-        if env.episode % replay.file.checkpoint_every == 0:
+        if env.episode % replay.file.checkpoint_every == 0 or run.directory.save_is_due:
             run.save()
     run.complete()
 

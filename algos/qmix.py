@@ -11,12 +11,12 @@ made on a batch of whole episodes from the replay. Q' and Mix' are older or slow
     y_t       = r_t + gamma Mix'(Q'_1(o_1,t+1, a*_1,t+1), ..., Q'_n(o_n,t+1, a*_n,t+1); s_{t+1})
     L         = mean over steps of (y_t - Mix(Q_1(o_1,t, a_1,t), ..., Q_n(o_n,t, a_n,t); s_t))^2
 
-Where the episode ended, y_t is only r_t. Q chooses the next actions a*, its best; Q' and Mix' value
-them (double Q-learning). Only the team's value is learned, so there are no individual rewards.
+r is the team's reward; where the episode ended, y_t is only r_t. Q chooses the next actions a*, its
+best; Q' and Mix' value them (double Q-learning). There are no individual rewards.
 
-Algorithm: Rashid et al., "QMIX: Monotonic Value Function Factorisation" (2018). Hyperparameters:
-Papoudakis et al. (2021), arXiv:2006.07869. As in that paper a time-out counts as an end. Unlike in
-its code, padding does not count when rewards are standardised.
+Algorithm: Rashid et al., "QMIX" (2018), arXiv:1803.11485. Hyperparameters: Papoudakis et al.
+(2021), arXiv:2006.07869. As in that paper a time-out counts as an end. Unlike in its code, the rows
+after an episode's end do not count when rewards are standardised.
 
     python algos/qmix.py --env lbf-8x8-2p-2f-c
     python algos/qmix.py --watch runs/lbf-8x8-2p-2f-c/qmix-shared/seed0
@@ -50,7 +50,7 @@ PAPER = {
     ("matrix", "independent"): (128, 0.0005, "batch", "fc", "soft", 0.0, 50_000),
     ("mpe", "shared"): (64, 0.0005, "batch", "gru", "soft", 0.0, 200_000),
     ("mpe", "independent"): (128, 0.0003, "batch", "gru", "soft", 0.0, 200_000),
-    ("smac", "shared"): (128, 0.0005, "batch", "gru", "hard", 0.05, 50_000),
+    ("smac", "shared"): (128, 0.0005, "batch", "gru", "hard", 0.05, 50_000),  # printed: 0.005
     ("smac", "independent"): (64, 0.0005, "batch", "gru", "hard", 0.05, 50_000),
     ("lbf", "shared"): (64, 0.0003, "batch", "gru", "soft", 0.05, 200_000),
     ("lbf", "independent"): (64, 0.0001, "batch", "gru", "soft", 0.05, 50_000),
@@ -64,9 +64,9 @@ class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut its episodes after so many steps (0: by its own clock)
-    flatten_images: bool = False  # make vectors of its images
-    env_workers: int = 0  # processes that play its episodes side by side (0: this one)
+    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
+    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 2_000_000  # length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
@@ -142,7 +142,7 @@ class MultiAgentNetwork(nn.Module):
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x: [time, env, agent (or 1: all see the same), input] -> [time, env, agent, output]."""
+        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
         n = len(self.networks)
         if hidden is None:
             hidden = [None] * n
@@ -224,7 +224,7 @@ def double_q_values(q_values: Tensor, target_q_values: Tensor, action_masks: Ten
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
-    """Mean of x [time, env, agent] over agents and over the steps that were played [time, env]."""
+    """Mean of x [time, env, agent or 1] over agents and over the played steps [time, env]."""
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
@@ -237,7 +237,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False once the episode has ended
+    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -351,7 +351,7 @@ class Replay:
 # --- update ---
 def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm: float) -> Tensor:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
-    parameters = optimiser.param_groups[0]["params"]
+    parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
     loss.backward(inputs=parameters)
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
@@ -405,7 +405,7 @@ def train(args: Args) -> None:
     learning = [*agents.parameters(), *mixer.parameters()]
     parts = {  # what a checkpoint keeps
         "agents": agents,
-        "target_agents": deepcopy(agents),
+        "target_agents": deepcopy(agents).to(args.device),  # makes a GRU's weights one block again
         "mixer": mixer,
         "target_mixer": deepcopy(mixer),
         "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
@@ -430,7 +430,7 @@ def train(args: Args) -> None:
             metrics["policy/epsilon"] = torch.tensor(team.epsilon)
         run.advance(episode, returns, metrics)
         run.evaluate_if_due()
-        if env.episode % replay.file.checkpoint_every == 0:
+        if env.episode % replay.file.checkpoint_every == 0 or run.directory.save_is_due:
             run.save()
     run.complete()
 

@@ -196,6 +196,8 @@ def show_help(args_class: type, default: Any, description: str) -> None:
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
 OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
 
+SAVE_SECONDS = 600  # between checkpoints, about the most that a killed run loses
+
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 
 
@@ -289,6 +291,7 @@ class RunDirectory:
         self.args = args
         self.config = describe(script, args, default)
         self._stopwatch = Stopwatch()
+        self._saved_at = time.monotonic()
         self.path = path = Path(args.run_dir) if args.run_dir else self._default_path()
         try:
             found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
@@ -377,6 +380,12 @@ class RunDirectory:
             last.replace(previous)
         new.replace(last)
         self._write_tables(saved)
+        self._saved_at = time.monotonic()
+
+    @property
+    def save_is_due(self) -> bool:
+        """Whether the last checkpoint is older than SAVE_SECONDS, as where evaluations are far apart."""
+        return time.monotonic() - self._saved_at > SAVE_SECONDS
 
     def _write_tables(self, saved: Mapping[str, Any]) -> None:
         table = io.StringIO()

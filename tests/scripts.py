@@ -49,7 +49,7 @@ class FakeRun:
     def __init__(self, batches: int):
         self.left, self.steps, self.updates = batches, 0, 0
         self.folder = tempfile.TemporaryDirectory()  # gone with this object
-        self.directory = SimpleNamespace(path=Path(self.folder.name))
+        self.directory = SimpleNamespace(path=Path(self.folder.name), save_is_due=False)
 
     def __call__(self, args, env, parts, rng):
         self.args, self.env, self.parts, self.rng = args, env, parts, rng

@@ -356,21 +356,3 @@ class TestComa:
         for agent in range(3):
             others = [[0, 0, 0] if other == agent else one_hots[other] for other in range(3)]
             assert inputs[0, 0, agent].tolist() == [7, 8, *(x for other in others for x in other)]
-
-    def test_advantage_by_brute_force_over_the_actions(self):
-        """Two agents with a table of joint values: the baseline varies the agent's own action, not the other's."""
-        generator = torch.Generator().manual_seed(0)
-        n_actions = 3
-        table = torch.randn(n_actions, n_actions, generator=generator)  # value of the joint action
-        probs = torch.randn(2, n_actions, generator=generator).softmax(-1)  # [agent, action]
-        for first in range(n_actions):
-            for second in range(n_actions):
-                baseline_first = sum(float(probs[0, a] * table[a, second]) for a in range(n_actions))
-                baseline_second = sum(float(probs[1, a] * table[first, a]) for a in range(n_actions))
-                value = float(table[first, second])
-                values = torch.stack([table[:, second], table[first, :]])  # what each agent's critic gives
-                advantages = script("coma").counterfactual_advantages(
-                    values[None, None], probs[None, None], torch.tensor([[[first, second]]])
-                )
-                expected = [value - baseline_first, value - baseline_second]
-                assert advantages.flatten().tolist() == pytest.approx(expected, rel=1e-4, abs=1e-6)

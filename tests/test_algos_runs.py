@@ -257,6 +257,25 @@ def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
+def test_a_killed_run_goes_on_from_ten_minutes_ago(finished, monkeypatch, capsys, tmp_path):
+    """Evaluations may be hours apart, so a run is also saved when the last checkpoint is old; here: always."""
+    name, directory = finished
+    log, left = runs.Log.batch, iter(range(8, -1, -1))
+
+    def end(self, *args):
+        log(self, *args)
+        if next(left) == 0:
+            raise KeyError("killed in the ninth batch")
+
+    with monkeypatch.context() as patch, pytest.raises(KeyError):
+        patch.setattr(runs, "SAVE_SECONDS", 0)
+        patch.setattr(script(name).runs.Log, "batch", end)
+        main(patch, capsys, name, *short(name), "--run-dir", tmp_path / "run")
+    assert runs.read_checkpoint(tmp_path / "run", name)["episode"] == 8
+    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    assert evaluations(tmp_path / "run") == evaluations(directory)
+
+
 def test_updates_are_counted_on_after_a_resume(monkeypatch, capsys, tmp_path):
     """By their number the targets are copied."""
     for updates in (3, 6):
