@@ -149,8 +149,8 @@ def run_directories(folder: Path) -> Iterator[Path]:
 def main() -> None:
     """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="?", type=Path, default=Path("runs"))
-    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("runs", nargs="?", type=Path, default=Path("runs"), help="a folder with runs; default: runs")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="the tables; default: benchmark/results")
     parser.add_argument("--replace", action="store_true", help="a seed that is there already is replaced")
     args = parser.parse_args()
     directories = sorted(run_directories(args.runs))

@@ -157,7 +157,9 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
     try:
         args = parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
     except SystemExit:  # the script has said on stderr what is wrong
-        raise envs.InputError(f"{algorithm} on {task} does not take the flags {' '.join(flags)}") from None
+        raise envs.InputError(
+            f"{algorithm} on {task} does not take the flags {' '.join(flags)}; algos/{algorithm}.py --help lists them"
+        ) from None
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
     if args.eval_points < 2:

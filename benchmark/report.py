@@ -98,8 +98,8 @@ class Report:
         if not self.comparable().any():
             return "None of our values has the paper's budget and flags."
         return (
-            f"Of our values with the paper's budget, {' and '.join(sentences)} are no further from the paper's than "
-            "both intervals together."
+            f"Of our values with the paper's budget, with and without sharing, {' and '.join(sentences)} are no "
+            "further from the paper's than both intervals together."
         )
 
     def comparable(self) -> pd.Series:
@@ -326,8 +326,8 @@ def between_markers(path: Path, text: str) -> str:
 def main() -> None:
     """Writes the report. Wrong input ends with one sentence and exit code 2."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--output", type=Path, default=HERE)
+    parser.add_argument("--results", type=Path, default=RESULTS, help="the tables; default: benchmark/results")
+    parser.add_argument("--output", type=Path, default=HERE, help="a folder for the report; default: benchmark")
     parser.add_argument("--marl-eval", type=Path, help="also write the evaluations to this file, in marl-eval's JSON")
     parser.add_argument("--grid", type=Path, metavar="folder", help="only print what a search in this folder found")
     args = parser.parse_args()

@@ -387,19 +387,26 @@ def parse() -> argparse.Namespace:
         nargs="+",
         required=True,
         metavar="name",
-        help=f"tasks, families ({', '.join(PAPER_FAMILIES)}) or all",
+        help=f"tasks, families ({', '.join(PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all",
     )
-    parser.add_argument("--sharing", choices=["shared", "independent", "both"], default="shared")
+    parser.add_argument(
+        "--sharing",
+        choices=["shared", "independent", "both"],
+        default="shared",
+        help="one network for all agents (default), one for each, or runs of both kinds",
+    )
     parser.add_argument("--seeds", type=int, help=f"how many, from 0 on; default {SEEDS}, {GRID_SEEDS} with --grid")
     parser.add_argument("--grid", type=Path, metavar="csv", help="search: run every combination of these flags")
     parser.add_argument("--dry-run", action="store_true", help="only say what would run, and how long it would take")
     parser.add_argument("--jobs", type=int, help="runs at once; default: one for each core")
     parser.add_argument("--ray", metavar="address", help='run on this Ray cluster ("auto": the one of this machine)')
     parser.add_argument("--fast-mkl", action="store_true", help="faster matrix products on AMD processors")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where runs are kept")
-    parser.add_argument("--results", type=Path, help="where they are collected; default: results, or searches/<grid>")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where runs are kept; default: runs")
+    parser.add_argument("--results", type=Path, help="default: benchmark/results, or searches/<grid>")
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
-    args = parser.parse_args()
+    args, unknown = parser.parse_known_args()
+    if unknown:
+        parser.error(f"unknown: {' '.join(unknown)} (flags for the scripts go behind --)")
     if any(number is not None and number < 1 for number in (args.jobs, args.seeds)):
         parser.error("--jobs and --seeds must be positive")
     return args
@@ -425,7 +432,7 @@ def run_campaign(args: argparse.Namespace) -> int:
     start: Callable[[Run], Job] = LocalJob
     places: Callable[[], int] = functools.partial(int, jobs)
     if args.ray:
-        envs.optional("ray", "benchmark")
+        envs.optional("ray")
         import cluster
 
         start, places = cluster.connect(args.ray, args.jobs, args.fast_mkl)

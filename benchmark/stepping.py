@@ -4,10 +4,10 @@
 
 One step is one action of every agent in one sub-environment, observations included; the actions are drawn beforehand,
 and episodes are reset when the time limit comes; steps of a sub-environment that has finished before do not count.
-In battles (smaclite, smac) masks change and episodes end early, so
-legal actions are drawn, and the finished are reset, as the game goes on; that is a part of the time. The column "paper"
-is the paper's own figure, from another machine. With --output the figures also go to a CSV, where they take the place
-of those of the same tasks. Pin it to a core: `taskset -c 0 python benchmark/stepping.py`.
+In battles (smaclite, smac) masks change and episodes end early, so legal actions are drawn, and the finished are reset,
+as the game goes on; that is a part of the time. The column "paper" is the paper's own figure, from another machine.
+With --output the figures also go to a CSV, where they take the place of those of the same tasks. Pin it to a core:
+`taskset -c 0 python benchmark/stepping.py`.
 """
 
 from __future__ import annotations
@@ -196,8 +196,8 @@ def original_mpe(name: str) -> Callable[[], int] | None:
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS)
-    parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100])
+    parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS, help=f"default: {' '.join(DEFAULT_TASKS)}")
+    parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100], help="so many side by side")
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")
     parser.add_argument("--copy", action="store_true", help="measure with copy=True")
     parser.add_argument("--output", type=Path, help="a CSV, as benchmark/results/stepping.csv")

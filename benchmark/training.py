@@ -203,8 +203,8 @@ def main() -> None:
     parser.add_argument(
         "--algorithms", nargs="+", default=["mappo"], choices=names, metavar="name", help=", ".join(names)
     )
-    parser.add_argument("--env", default="lbf-15x15-3p-5f")
-    parser.add_argument("--seconds", type=float, default=20)
+    parser.add_argument("--env", default="lbf-15x15-3p-5f", help="a task; default: lbf-15x15-3p-5f")
+    parser.add_argument("--seconds", type=float, default=20, help="for each algorithm; default: 20")
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     chosen = parser.parse_args()
     if not 0 < chosen.seconds < math.inf:

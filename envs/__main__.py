@@ -12,6 +12,7 @@ import os
 import sys
 
 import envs
+from envs import tasks
 from envs.check import problems
 from envs.runs import check_flags, open_streams
 
@@ -38,7 +39,11 @@ def show(parser: argparse.ArgumentParser, text: str) -> None:
 
 def check_task(argv: list[str]) -> None:
     """Check a task, and say what is wrong."""
-    parser = argparse.ArgumentParser(prog="python -m envs check", description="The contract is in envs/vector.py.")
+    parser = argparse.ArgumentParser(
+        prog="python -m envs check",
+        description="Plays some episodes, and says what in an environment is not as envs/vector.py has it: shapes, "
+        "seeds, masks, resets, flags. Exit code 0: nothing; 1: something.",
+    )
     parser.add_argument("name", help="a task")
     parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
     parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
@@ -65,7 +70,13 @@ def main(argv: list[str]) -> None:
     open_streams()  # the argparse of Python 3.11.2, for one, would fail without
     if argv[:1] == ["check"]:
         check_task(argv[1:])
-    parser = argparse.ArgumentParser(prog="python -m envs", description="Tasks, their sizes and the paper's budgets.")
+    grammar = (tasks.__doc__ or "").split("\n\n")[1]
+    parser = argparse.ArgumentParser(
+        prog="python -m envs",
+        description=(__doc__ or "").partition("\n\n")[2],
+        epilog=f"names:\n{grammar}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("names", nargs="*", metavar="name", help="a task; without any, all tasks of the paper")
     names = parser.parse_args(argv).names
     try:
