@@ -196,7 +196,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
 OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
 
-SAVE_SECONDS = 600  # between checkpoints, about the most that a killed run loses
+SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run loses
 
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 

@@ -257,7 +257,7 @@ def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
-def test_a_killed_run_goes_on_from_ten_minutes_ago(finished, monkeypatch, capsys, tmp_path):
+def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tmp_path):
     """Evaluations may be hours apart, so a run is also saved when the last checkpoint is old; here: always."""
     name, directory = finished
     log, left = runs.Log.batch, iter(range(8, -1, -1))
