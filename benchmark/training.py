@@ -107,7 +107,7 @@ class Clock:
 
     def __init__(self, module: Any, seconds: float, path: Path, timer: Timer):
         self.module, self.seconds, self.timer = module, seconds, timer
-        self.directory = SimpleNamespace(path=path)
+        self.directory = SimpleNamespace(path=path, save_is_due=False)
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
         self.updates = 0
