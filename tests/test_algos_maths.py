@@ -208,6 +208,14 @@ class TestNetworks:
         shared("gradient_step")(30 * a.sum() + 40 * b.sum(), optimiser, 10.0)  # gradient (30, 40), norm 50
         assert a.item() == pytest.approx(-6, rel=1e-5) and b.item() == pytest.approx(-8, rel=1e-5)
 
+    def test_all_parameter_groups_learn(self):
+        """As where a copy of a script gives a part of its network another learning rate."""
+        a, b, frozen = (torch.nn.Parameter(torch.zeros(())) for _ in range(3))
+        optimiser = torch.optim.SGD([a], lr=1.0)
+        optimiser.add_param_group({"params": [b], "lr": 0.1})
+        norm = shared("gradient_step")(30 * a + 40 * b + frozen, optimiser, 10.0)  # norm 50, clipped to a fifth
+        assert [norm.item(), a.item(), b.item(), frozen.item()] == pytest.approx([50, -6, -0.8, 0], abs=1e-4)
+
 
 class TestCollect:
     """The batch against a second environment that plays the same actions, one step at a time."""
