@@ -28,6 +28,9 @@ end, when it standardised rewards.
     python algos/mappo.py --watch runs/lbf-15x15-3p-5f/mappo-shared/seed0
 """
 
+import envs  # before PyTorch, which then multiplies matrices faster on AMD processors
+from envs import VectorEnv, runs
+
 import sys
 from copy import deepcopy
 from dataclasses import dataclass
@@ -38,12 +41,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor, nn
-
-import envs
-
-if not hasattr(envs, "VectorEnv"):  # a folder or file of the user's own hides ours
-    sys.exit(f"{getattr(envs, '__path__', envs)} is not marl-baselines; rename what hides it.")
-from envs import VectorEnv, runs
 
 # What the paper's search chose for each family of tasks, with and without parameter sharing.
 PAPER_BUDGET = "on_policy_timesteps"
@@ -535,6 +532,7 @@ def main() -> None:
     """Trains or plays. Wrong input ends with one sentence and exit code 2."""
     with runs.one_sentence(__file__):
         args = runs.parse_flags(Args, paper_defaults, sys.argv[1:], __doc__)
+        runs.keep_freed_memory()
         torch.set_num_threads(args.threads)
         watch(args) if args.watch else train(args)
 

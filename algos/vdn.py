@@ -24,6 +24,9 @@ code, the rows after an episode's end do not count when rewards are standardised
     python algos/vdn.py --watch runs/lbf-8x8-2p-2f-c/vdn-shared/seed0
 """
 
+import envs  # before PyTorch, which then multiplies matrices faster on AMD processors
+from envs import VectorEnv, runs
+
 import sys
 from copy import deepcopy
 from dataclasses import dataclass
@@ -34,12 +37,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor, nn
-
-import envs
-
-if not hasattr(envs, "VectorEnv"):  # a folder or file of the user's own hides ours
-    sys.exit(f"{getattr(envs, '__path__', envs)} is not marl-baselines; rename what hides it.")
-from envs import VectorEnv, runs
 
 # What the paper's search chose for each family of tasks, with and without parameter sharing.
 PAPER_BUDGET = "off_policy_timesteps"
@@ -524,6 +521,7 @@ def main() -> None:
     """Trains or plays. Wrong input ends with one sentence and exit code 2."""
     with runs.one_sentence(__file__):
         args = runs.parse_flags(Args, paper_defaults, sys.argv[1:], __doc__)
+        runs.keep_freed_memory()
         torch.set_num_threads(args.threads)
         watch(args) if args.watch else train(args)
 

@@ -7,7 +7,6 @@ that of an interrupted run: one whose node is lost goes on from it on another no
 `Trainer` and what it calls live on the nodes, where the modules of benchmark/ are not: they are sent by value.
 """
 
-import contextlib
 import functools
 import hashlib
 import io
@@ -32,10 +31,8 @@ import filelock
 import ray
 
 import envs
-import fast_mkl
 import training
 from envs.runs import describe
-from fast_mkl import NotPossible, preload
 from plan import Run, log_path
 
 LOOK_SECONDS = 1.0  # between two looks at a run
@@ -118,7 +115,7 @@ def write_files(directory: Path, files: Files) -> None:
 class Trainer:
     """A run on a node: a process, and a directory that is gone when it has ended."""
 
-    def __init__(self, code: bytes, fast: bool, algorithm: str, arguments: list[str], files: Files):
+    def __init__(self, code: bytes, algorithm: str, arguments: list[str], files: Files):
         self.folder = Path(tempfile.mkdtemp(prefix="marl-baselines-run-"))
         self.directory, self.log = self.folder / "run", self.folder / "log.txt"
         self.sent = 0  # when the last checkpoint that was sent was made
@@ -126,9 +123,6 @@ class Trainer:
             write_files(self.directory, files)
         place = unpack(code)
         environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        if fast:
-            with contextlib.suppress(NotPossible):
-                environment["LD_PRELOAD"] = preload()
         command = [sys.executable, str(place / "algos" / f"{algorithm}.py"), *arguments]
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
@@ -248,7 +242,7 @@ def commit_here() -> str | None:
     return commit
 
 
-def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run], RayJob], Callable[[], int]]:
+def connect(address: str, jobs: int | None) -> tuple[Callable[[Run], RayJob], Callable[[], int]]:
     """Joins a cluster: what makes a job of a run, and how many jobs there is room for (by default, the cores that the
     cluster has at the moment). InputError where no cluster answers at this address."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
@@ -259,7 +253,6 @@ def connect(address: str, jobs: int | None, fast: bool) -> tuple[Callable[[Run],
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: another version of Ray or Python
         raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    ray.cloudpickle.register_pickle_by_value(fast_mkl)
-    begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()), fast)
+    begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
     start = functools.partial(RayJob, begin=begin, commit=commit_here())
     return start, lambda: jobs or max(int(ray.cluster_resources().get("CPU", 0)), 1)

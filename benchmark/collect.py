@@ -26,7 +26,7 @@ from results import COLUMNS, RESULTS, check_script, read_evaluations, read_json,
 
 NOT_COMPLETE = "it is not complete"
 SECONDS = ["wall_seconds", "cpu_seconds"]
-ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "preloaded")
+ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "fast_mkl")
 
 
 def read_text(path: Path) -> pd.DataFrame:
@@ -82,6 +82,8 @@ def merge(
     older = [origin for number, origin in settings["seeds"].items() if number != seed]
     check_script(path, config["algorithm"], config.get("script"), older)
     origin = {name: config.get(name) for name in ORIGIN}
+    if "preloaded" in config:  # older runs named the library
+        origin["fast_mkl"] = "fast-mkl.so" in config["preloaded"]
     origin |= {name: round(float(last[name]), 1) for name in SECONDS}
     seeds = settings["seeds"] | {seed: origin}
     settings["algorithm"] = config["algorithm"]

@@ -7,7 +7,7 @@
     flags              all flags, but the seed and those of one run only
     changed            the flags that differ from the paper's; {} is the paper's setting and budget
     paper_timesteps    the paper's budget for this algorithm and task
-    seeds              for each: commit, version, script, python, versions, machine, preloaded, wall and CPU seconds
+    seeds              for each: commit, version, script, python, versions, machine, fast_mkl, wall and CPU seconds
 
 The names are for people; programs read the JSON. A seed counts once the JSON lists it, so the CSV is written first.
 """

@@ -16,7 +16,6 @@ import argparse
 import contextlib
 import errno
 import functools
-import multiprocessing
 import os
 import re
 import shutil
@@ -26,14 +25,12 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, Protocol
 
 import filelock
 
 import envs
-import fast_mkl
 import plan
 import training
 from collect import collect_run
@@ -364,15 +361,13 @@ def dry_run(runs: list[Run], results: Path, jobs: int) -> int:
     )
     print("without evaluations, and of a grid the first variant ...")
     hours = 0.0
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:  # a new process has what is preloaded
-        for setting, run in examples.items():
-            flags = plan.script_flags(run.task, run.sharing, run.flags)
-            timing = pool.submit(training.measure, run.algorithm, flags, TIMING_SECONDS, time.process_time)
-            rate = timing.result().rate
-            needed = steps[setting] / rate / 3600
-            hours += needed
-            name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
-            print(f"{name}: {rate:,.0f} steps/s, {needed:.2f} core hours", flush=True)
+    for setting, run in examples.items():
+        flags = plan.script_flags(run.task, run.sharing, run.flags)
+        rate = training.measure(run.algorithm, flags, TIMING_SECONDS, time.process_time).rate
+        needed = steps[setting] / rate / 3600
+        hours += needed
+        name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
+        print(f"{name}: {rate:,.0f} steps/s, {needed:.2f} core hours", flush=True)
     wait = clock(hours * 3600 / min(jobs, left))
     print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {wait} (h:min:s).")
     return code
@@ -400,7 +395,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--dry-run", action="store_true", help="only say what would run, and how long it would take")
     parser.add_argument("--jobs", type=int, help="runs at once; default: one for each core")
     parser.add_argument("--ray", metavar="address", help='run on this Ray cluster ("auto": the one of this machine)')
-    parser.add_argument("--fast-mkl", action="store_true", help="faster matrix products on AMD processors")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where runs are kept; default: runs")
     parser.add_argument("--results", type=Path, help="default: benchmark/results, or searches/<grid>")
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
@@ -422,11 +416,6 @@ def run_campaign(args: argparse.Namespace) -> int:
     runs = plan.make_plan(algorithms, tasks, sharings, seeds, tuple(args.flags), grid, args.runs.resolve())
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     jobs = args.jobs or cores
-    if args.fast_mkl:
-        try:
-            os.environ["LD_PRELOAD"] = fast_mkl.preload()  # of the processes that start from here on
-        except fast_mkl.NotPossible as reason:
-            print(f"--fast-mkl: {reason}; the runs go on without.", file=sys.stderr)
     if args.dry_run:
         return dry_run(runs, results, jobs)
     start: Callable[[Run], Job] = LocalJob
@@ -435,7 +424,7 @@ def run_campaign(args: argparse.Namespace) -> int:
         envs.optional("ray")
         import cluster
 
-        start, places = cluster.connect(args.ray, args.jobs, args.fast_mkl)
+        start, places = cluster.connect(args.ray, args.jobs)
     for folder in (args.runs, results):
         folder.mkdir(parents=True, exist_ok=True)
     (results / ".lock").touch()  # collecting begins with it; what is not possible is to be known before hours of runs

@@ -25,11 +25,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import envs  # isort: skip (before PyTorch, as in the scripts)
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-import envs
 from envs import mpe, runs
 from envs.runs import one_sentence
 from training import load_script
@@ -162,6 +162,7 @@ def train(task: str, seed: int, directory: Path) -> None:
     flags += ["--seed", str(seed), "--run-dir", str(directory), "--resume"]
     for name, value in TRAININGS[task]._asdict().items():
         flags += [f"--{name.replace('_', '-')}", str(value)]
+    runs.keep_freed_memory()
     torch.set_num_threads(1)
     module.train(runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__))
 

@@ -22,10 +22,10 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+from envs import runs  # isort: skip (before PyTorch, as in the scripts)
 import torch
 from torch import nn
 
-from envs import runs
 from envs.runs import one_sentence
 
 ALGOS = Path(__file__).resolve().parent.parent / "algos"
@@ -171,6 +171,7 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     if hasattr(args, "buffer_size"):  # the whole replay may be larger than the disk that has temporary files
         args.buffer_size = min(args.buffer_size, 20 * args.batch_size)
+    runs.keep_freed_memory()
     torch.set_num_threads(1)
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect = timed(module.collect, parts, "acting", timer)

@@ -5,7 +5,6 @@ The text of the run is the same in all nine scripts, so what only it decides is 
 
 import csv
 import json
-import os
 import random
 import shutil
 import signal
@@ -125,7 +124,7 @@ def test_config_says_what_was_run(finished):
     changed = {"total_timesteps": STEPS[name], "hidden_dim": 32, "eval_points": 11}
     assert changed.items() <= config["changed"].items()
     assert not {"env", "seed", "run_dir", "gamma"} & config["changed"].keys()
-    others = {"command", "python", "versions", "version", "script", "commit", "machine", "preloaded"}
+    others = {"command", "python", "versions", "version", "script", "commit", "machine", "fast_mkl"}
     assert set(config) == {"algorithm", "flags", "changed", "paper_timesteps", *others}
 
 
@@ -727,16 +726,3 @@ def test_opponents_need_their_own_rewards_and_networks(name, flags, monkeypatch,
     code, said = main(monkeypatch, capsys, name, "--env", "matrix-climbing", *flags)
     assert code == 2 and len(said.strip().splitlines()) == 1 and "opposing teams" in said
     assert ("--no-parameter-sharing" in said) == (name in INDIVIDUAL)
-
-
-@pytest.mark.parametrize("foreign", ["envs.py", "envs/__init__.py", "envs/notes.txt"])
-def test_a_copy_beside_envs_of_the_users_own_says_so(foreign, tmp_path):
-    """A folder without __init__.py hides ours, too, where ours is installed in editable mode."""
-    (tmp_path / foreign).parent.mkdir(exist_ok=True)
-    (tmp_path / foreign).write_text("")
-    shutil.copy(ROOT / "algos" / "mappo.py", tmp_path)
-    path = {"PYTHONPATH": "", "PATH": ""}
-    done = subprocess.run(
-        [sys.executable, "mappo.py"], capture_output=True, text=True, cwd=tmp_path, env=os.environ | path
-    )
-    assert done.returncode == 1 and "is not marl-baselines" in done.stderr and len(done.stderr.splitlines()) == 1

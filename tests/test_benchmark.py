@@ -51,7 +51,7 @@ def make_run(directory, seed=0, returns=(0.0, 10.5), budget=2_500_000, reached=N
     flags |= changed | {"threads": 1, "run_dir": "runs/x"}
     config = {"algorithm": "mappo", "flags": flags, "changed": changed, "paper_timesteps": 2_500_000}
     config |= {"commit": "abc", "version": "0.1.0", "script": "123", "command": ["mappo.py"], "python": "3.11.7"}
-    config |= {"versions": {"torch": "2.13.0"}, "machine": {"cores": 2}, "preloaded": ""}
+    config |= {"versions": {"torch": "2.13.0"}, "machine": {"cores": 2}, "fast_mkl": False}
     (directory / "config.json").write_text(json.dumps(config))
     steps = np.linspace(0, flags["total_timesteps"] if reached is None else reached, len(returns)).astype(int)
     rows = [f"{k},{step},{1.25 * k},0.5,{value!r},1.0,25.0" for k, (step, value) in enumerate(zip(steps, returns))]
@@ -86,8 +86,18 @@ def test_seeds_come_together_and_stay(tmp_path):
     assert list(settings["seeds"]) == ["0", "1", "10"]
     assert settings["seeds"]["1"] == {
         **{"commit": "abc", "version": "0.1.0", "script": "123", "python": "3.11.7", "versions": {"torch": "2.13.0"}},
-        **{"machine": {"cores": 2}, "preloaded": "", "wall_seconds": 1.2, "cpu_seconds": 0.5},
+        **{"machine": {"cores": 2}, "fast_mkl": False, "wall_seconds": 1.2, "cpu_seconds": 0.5},
     }
+
+
+@pytest.mark.parametrize("preloaded, fast", [("", False), ("/home/me/.cache/marl-baselines/fast-mkl.so", True)])
+def test_older_runs_named_the_fast_kernels_by_their_path(tmp_path, preloaded, fast):
+    path = make_run(tmp_path / "run") / "config.json"
+    config = json.loads(path.read_text())
+    del config["fast_mkl"]
+    path.write_text(json.dumps(config | {"preloaded": preloaded}))
+    settings = collect.collect_run(path.parent, tmp_path / "results").with_suffix(".json").read_text()
+    assert json.loads(settings)["seeds"]["0"]["fast_mkl"] == fast and ".cache" not in settings
 
 
 def test_the_same_run_twice_changes_nothing(tmp_path):

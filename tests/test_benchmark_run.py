@@ -28,7 +28,6 @@ import pandas as pd
 import pytest
 
 import envs
-import fast_mkl
 import plan
 import results
 import run
@@ -103,7 +102,7 @@ def write_tables(directory, args, rows):
     names = ("total_timesteps", "learning_rate", "pace", "trouble")
     changed = {name: value for name, value in vars(args).items() if name in names and value != getattr(Args(), name)}
     config = {"algorithm": ALGORITHM, "flags": vars(args), "changed": changed, "paper_timesteps": 40, "commit": None}
-    config |= {"preloaded": os.environ.get("LD_PRELOAD"), "omp": os.environ.get("OMP_NUM_THREADS")}
+    config |= {"omp": os.environ.get("OMP_NUM_THREADS")}
     whole(directory / "config.json", json.dumps(config | {"version": "0"}))
     names = "point timestep wall_seconds cpu_seconds return_mean return_std episode_length".split()
     whole(directory / "evaluations.csv", "".join(",".join(map(str, row)) + "\\n" for row in [names, *rows]))
@@ -390,7 +389,6 @@ class TestRunning:
         before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
         capsys.readouterr()
         monkeypatch.setattr(training, "measure", measured)
-        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
         said = f"{folder_of(0).resolve()} holds a run with another total_timesteps: move it away"
         assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
         assert f"seed 0: would fail, {said}" in capsys.readouterr().out
@@ -711,7 +709,6 @@ class TestDryRun:
     def test_the_list_and_the_core_hours(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 1) == 0
         monkeypatch.setattr(training, "measure", measured)
-        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
         steps = 36_000_000
         assert campaign(monkeypatch, "--seeds", 2, "--jobs", 2, "--dry-run") == 0
         said = capsys.readouterr().out
@@ -735,7 +732,6 @@ class TestDryRun:
         (begun / "config.json").write_text(json.dumps(config))
         (begun / "progress.json").write_text(json.dumps(progress | {"evaluation_return": None}))
         monkeypatch.setattr(training, "measure", measured)
-        monkeypatch.setattr(run, "ProcessPoolExecutor", Here)
         assert campaign(monkeypatch, *flags) == 0
         said = capsys.readouterr().out
         assert "seed 0: begun" in said and "10,000 steps/s, 0.75 core hours" in said
@@ -749,85 +745,6 @@ class TestDryRun:
 def measured(name, flags, seconds, timer):
     assert flags[:3] == ["--env", "matrix-climbing", "--parameter-sharing"]
     return training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
-
-
-class Here:
-    """A pool of processes that is this process."""
-
-    def __init__(self, *_):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-    def submit(self, function, *args):
-        result = function(*args)
-        return type("Future", (), {"result": lambda self: result})()
-
-
-class TestFastMKL:
-    def test_it_is_built_and_preloaded(self, monkeypatch, tmp_path):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-        monkeypatch.setenv("LD_PRELOAD", "")
-        try:
-            library = fast_mkl.build()
-        except fast_mkl.NotPossible as reason:
-            pytest.skip(str(reason))
-        import ctypes
-
-        assert ctypes.CDLL(str(library)).mkl_serv_intel_cpu_true() == 1
-        assert [path.name for path in library.parent.iterdir()] == ["fast-mkl.so"]
-        assert campaign(monkeypatch, "--seeds", 1, "--fast-mkl") == 0
-        config = json.loads((folder_of(0) / "config.json").read_text())
-        assert config["preloaded"] == str(library)
-
-    def test_what_is_preloaded_already_stays(self, monkeypatch):
-        monkeypatch.setattr(fast_mkl, "build", lambda: Path("/fast-mkl.so"))
-        for before, after in (("", "/fast-mkl.so"), ("/x.so", "/fast-mkl.so:/x.so"), ("/fast-mkl.so:/y", None)):
-            monkeypatch.setenv("LD_PRELOAD", before)
-            assert fast_mkl.preload() == (after or before)
-
-    def test_a_path_that_cannot_be_preloaded(self, monkeypatch, tmp_path):
-        """Spaces and colons separate what is preloaded."""
-        monkeypatch.setattr(Path, "read_text", lambda path: "AuthenticAMD")
-        monkeypatch.setattr(fast_mkl.sys, "platform", "linux")
-        monkeypatch.setattr(fast_mkl.platform, "machine", lambda: "x86_64")
-        for name in ("my cache", "a:b"):
-            monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / name))
-            with pytest.raises(fast_mkl.NotPossible, match="whose name has a space or a colon"):
-                fast_mkl.build()
-
-    def test_without_a_home(self, monkeypatch):
-        def no_home(path):
-            raise RuntimeError("Could not determine home directory.")
-
-        monkeypatch.setattr(fast_mkl.platform, "machine", lambda: "x86_64")
-        monkeypatch.setattr(fast_mkl.Path, "read_text", lambda self: "vendor_id : AuthenticAMD")
-        monkeypatch.setattr(fast_mkl.Path, "expanduser", no_home)
-        with pytest.raises(fast_mkl.NotPossible, match="no home directory"):
-            fast_mkl.build()
-
-    @pytest.mark.parametrize("why", ["compiler", "Intel"])
-    def test_without_it_the_runs_go_on(self, monkeypatch, capsys, tmp_path, why):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-        monkeypatch.setattr(fast_mkl.shutil, "which", lambda name: None)
-        processor = "vendor_id : " + ("GenuineIntel" if why == "Intel" else "AuthenticAMD")
-        monkeypatch.setattr(fast_mkl.Path, "read_text", lambda self: processor)
-        with pytest.raises(fast_mkl.NotPossible, match=why):
-            fast_mkl.build()
-        monkeypatch.undo()
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(training, "ALGOS", tmp_path / "algos")
-        monkeypatch.setattr(fast_mkl, "build", lambda: refuse(f"no {why}"))
-        assert campaign(monkeypatch, "--seeds", 1, "--fast-mkl") == 0
-        assert f"--fast-mkl: no {why}; the runs go on without" in capsys.readouterr().err
-
-
-def refuse(reason):
-    raise fast_mkl.NotPossible(reason)
 
 
 class TestRay:
