@@ -312,8 +312,8 @@ class Replay:
         ages = torch.randperm(min(self.env.episode, self.size), generator=rng)  # 0: the newest
         numbers = self.env.episode - ages[: self.args.batch_size].numpy()
         fields = {}
-        for name, x in self.file.read(numbers).items():
-            fields[name] = torch.from_numpy(x).transpose(0, 1).to(self.args.device)  # time first
+        for name, x in self.file.read(numbers).items():  # [env, time, ...] becomes [time, env, ...]
+            fields[name] = torch.from_numpy(x).transpose(0, 1).contiguous().to(self.args.device)
         if self.env.state_is_observations:
             fields["states"] = fields["observations"].flatten(2)
         return Batch(**fields)

@@ -201,8 +201,8 @@ def n_step_returns(
 
 def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
     """log pi(. | o), [..., action]. Not -inf for masked actions, so p log p is 0 and not NaN."""
-    lowest = torch.finfo(logits.dtype).min
-    return torch.log_softmax(torch.where(action_masks, logits, lowest), dim=-1)
+    logits = torch.where(action_masks, logits, torch.finfo(logits.dtype).min)
+    return logits - logits.logsumexp(-1, keepdim=True)
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:

@@ -315,8 +315,8 @@ class Replay:
         ages = torch.randperm(min(self.env.episode, self.size), generator=rng)  # 0: the newest
         numbers = self.env.episode - ages[: self.args.batch_size].numpy()
         fields = {}
-        for name, x in self.file.read(numbers).items():
-            fields[name] = torch.from_numpy(x).transpose(0, 1).to(self.args.device)  # time first
+        for name, x in self.file.read(numbers).items():  # [env, time, ...] becomes [time, env, ...]
+            fields[name] = torch.from_numpy(x).transpose(0, 1).contiguous().to(self.args.device)
         if self.env.state_is_observations:
             fields["states"] = fields["observations"].flatten(2)
         return Batch(**fields)
@@ -369,7 +369,8 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
     # The noise comes from PyTorch's global generator; gumbel_softmax can use no other. On the CPU
     # this is what `train` seeds and a checkpoint keeps, so a resumed run draws the same noise.
     available = logits.masked_fill(~masks, -1e9)  # not -inf: after an end no action is available
-    drawn = nn.functional.gumbel_softmax(available, hard=True)
+    log_probs = available - available.logsumexp(-1, keepdim=True)
+    drawn = nn.functional.gumbel_softmax(log_probs, hard=True)
     own = torch.eye(n_agents, dtype=torch.bool, device=logits.device).unsqueeze(-1)  # [i, j, 1]
     joint = torch.where(own, drawn.unsqueeze(2), drawn.detach().unsqueeze(2))  # [..., i, j, action]
     actor_values = critic(with_joint_actions(batch.states[:-1], joint))[0].squeeze(-1)
@@ -380,7 +381,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, updates: int) -> dic
     update_target(target_agents, agents, args.target_update, updates)
     update_target(target_critic, critic, args.target_update, updates)
     with torch.no_grad():
-        entropy = -(available.softmax(-1) * available.log_softmax(-1)).sum(-1)
+        entropy = -(log_probs.exp() * log_probs).sum(-1)
         return {
             "loss/critic": critic_loss,
             "loss/actor": actor_loss,
