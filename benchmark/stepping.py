@@ -95,7 +95,7 @@ def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
     if name.startswith("mpe"):
         return original_mpe(name)
-    build = {"lbf": lbforaging, "rware": rware}.get(envs.task(name).module)
+    build = {"lbf": lbforaging, "rware": rware}.get(name.partition("-")[0])
     if build is None:
         return None
     try:

@@ -9,8 +9,9 @@ A run that was interrupted goes on, a complete one stays as it is: the same comm
 At each evaluation of a run its adversary or prey is a candidate. It plays 1,000 episodes against scripted teams whose
 returns against the paper's own opponents are known (`PROBES`): too easy an opponent lets them earn more, too hard a one
 less. Of the candidates with all returns within the bounds, that with the smallest sum of distances from the known
-returns, each in units of half the distance of its bounds, is written to envs/opponents/<task>.npz, and what was
-measured to <task>.json. An opponent that is there already is replaced only with --replace. The present ones come from
+returns, each in units of half the distance of its bounds, is written to envs/families/opponents/<task>.npz, and what
+was measured to <task>.json. An opponent that is there already is replaced only with --replace. The present ones come
+from
     python benchmark/train_opponents.py --tasks mpe-adversary --seeds 5
     python benchmark/train_opponents.py --tasks mpe-tag --seeds 0 1
 Ten seeds of the adversary were trained. Eight had candidates within the bounds, and scripted teams do not tell which of
@@ -30,7 +31,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from envs import mpe, runs
+from envs import runs
+from envs.families import mpe
 from envs.runs import one_sentence
 from training import load_script
 

@@ -17,8 +17,9 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from envs import as_gymnasium, fast_mkl  # noqa: F401
-from envs.foreign import import_module, parse_kwargs
+from envs import fast_mkl  # noqa: F401 (it must come before whatever imports PyTorch)
+from envs.adapters import as_gymnasium
+from envs.adapters.foreign import import_module, parse_kwargs
 from envs.runs import optional
 from envs.tasks import InputError, Task, task, task_names
 from envs.vector import EpisodeTotals, VectorEnv, check_one_team, check_teams
@@ -40,7 +41,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from envs.as_pettingzoo import PettingZooEnv
+    from envs.adapters.as_pettingzoo import PettingZooEnv
 
 as_gymnasium.register()
 
@@ -62,7 +63,7 @@ def make(
     seed: what sub-environment i plays in its k-th episode depends on (seed, i, k) alone.
     copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
 
-    For pettingzoo: and gymnasium: environments (see `envs.foreign`):
+    For pettingzoo: and gymnasium: environments (see `envs.adapters.foreign`):
     env_kwargs: keyword arguments of the environment, as a mapping or as they stand in a call; also for own: ones.
     max_episode_steps: episodes are cut after so many steps; 0: by the environment's own clock.
     flatten_images: make vectors of observations that are images.
@@ -96,7 +97,7 @@ def make(
         except TypeError as error:
             raise InputError(f"{name}: {error}.") from None
     else:
-        module = importlib.import_module(f"envs.{described.module}")
+        module = importlib.import_module(described.module)
         given = {}
     if name.startswith(("pettingzoo:", "gymnasium:")):
         options["pictures"] = pictures
@@ -143,13 +144,13 @@ def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], epi
 
 
 def pettingzoo_env(name: str, *, seed: int = 0, render_mode: str | None = None, strict: bool = False) -> PettingZooEnv:
-    """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.as_pettingzoo` describes it.
+    """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.adapters.as_pettingzoo` describes it.
 
     render_mode: None or "rgb_array".
     strict: whether an action that the mask forbids is an error. If not, the agent's first allowed action takes its
     place, because PettingZoo's own tests, and libraries that know no masks, choose any action of the action space.
     Raises InputError as `make` does, and for a render mode that the task does not have.
     """
-    from envs.as_pettingzoo import PettingZooEnv  # imports PettingZoo
+    from envs.adapters.as_pettingzoo import PettingZooEnv  # imports PettingZoo
 
     return PettingZooEnv(name, seed, render_mode, strict)

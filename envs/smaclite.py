@@ -61,7 +61,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.kernels import compiled, episode_state, forbidden_action, random_below
+from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
 from envs.smaclite_maps import RULE_SETS, SIZE, Polygon, formation, terrain
 
 NO_OP, STOP, NORTH, SOUTH, EAST, WEST, ATTACK = 0, 1, 2, 3, 4, 5, 6  # ATTACK + k: unit k

@@ -5,7 +5,7 @@
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
     smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
-    pettingzoo:<module>  gymnasium:<id>                environments that are not ours; see `envs.foreign`
+    pettingzoo:<module>  gymnasium:<id>                environments that are not ours; see `envs.adapters.foreign`
     own:<module>                                       a class `Env` of your own, by the contract in `envs.vector`
 
 A family is added with a parser: a function that takes a name and returns its Task, or None if the name does not have
@@ -36,8 +36,7 @@ class Task:
     family: the family of the paper whose hyperparameters apply (matrix, mpe, smac, lbf, rware), or "".
     on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
     eval_points: the number of evaluations in a run, including the one before training.
-    module, settings: the module that plays the task, and keyword arguments for its environment. The module is one of
-        this package, but for own:<module>.
+    module, settings: the module whose `Env` plays the task, and keyword arguments for it.
     """
 
     name: str
@@ -78,7 +77,7 @@ PAPER_TASKS = (
 )
 
 
-OPPONENTS = Path(__file__).parent / "opponents"  # trained networks that play in tasks of MPE
+OPPONENTS = Path(__file__).parent / "families" / "opponents"  # trained networks that play in tasks of MPE
 
 
 def task_names() -> list[str]:
@@ -194,7 +193,7 @@ def parse_matrix(name: str) -> Task | None:
     penalty = None if match[1] is None else int(match[1])
     if penalty is not None and penalty > 2**24:
         raise InputError(f"{name}: the penalty is larger than 2^24, and 32-bit rewards are exact only up to there.")
-    return Task(name, "matrix", 2_500_000, 250_000, 101, "matrix", {"penalty": penalty})
+    return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", {"penalty": penalty})
 
 
 PLACES_TRIED = 1000  # for the foods of an episode
@@ -233,7 +232,7 @@ def parse_lbf(name: str) -> Task | None:
         "cooperative": match[6] is not None,
         "version": 3 if match[7] else 1,
     }
-    return Task(name, "lbf", 20_000_000, 2_000_000, 41, "lbf", settings)
+    return Task(name, "lbf", 20_000_000, 2_000_000, 41, "envs.families.lbf", settings)
 
 
 def room_for_foods(rows: int, columns: int, wanted: int) -> int:
@@ -287,7 +286,7 @@ def parse_rware(name: str) -> Task | None:
         "n_requests": n_requests,
         "sight": sight,
     }
-    return Task(name, "rware", 40_000_000, 4_000_000, 41, "rware", settings)
+    return Task(name, "rware", 40_000_000, 4_000_000, 41, "envs.families.rware", settings)
 
 
 def parse_mpe(name: str) -> Task | None:
@@ -303,8 +302,8 @@ def parse_mpe(name: str) -> Task | None:
             f"In {name}-selfplay all agents learn."
         )
     if selfplay:  # 25,000 episodes, in which the opponents were trained
-        return Task(name, "mpe", 625_000, 625_000, 41, "mpe", settings)
-    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "mpe", settings)
+        return Task(name, "mpe", 625_000, 625_000, 41, "envs.families.mpe", settings)
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings)
 
 
 def parse_smac(name: str) -> Task | None:
@@ -313,11 +312,11 @@ def parse_smac(name: str) -> Task | None:
     if match is None or (match[1] == "smac" and match[3]):
         return None
     if match[1] == "smac":
-        return Task(name, "smac", 40_000_000, 4_000_000, 41, "starcraft", {"map_name": match[2]})
+        return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.starcraft", {"map_name": match[2]})
     if match[2] not in LITE_MAPS:
         return None
     settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
-    return Task(name, "smac", 40_000_000, 4_000_000, 41, "smaclite", settings)
+    return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.smaclite", settings)
 
 
 # Packages that the paper's tasks come from, and one of these tasks
@@ -339,8 +338,8 @@ def parse_foreign(name: str) -> Task | None:
     settings = {"interface": match[1], "target": match[2]}
     for package, known in KNOWN_PACKAGES.items():
         if re.search(rf"(?:^|[.:/])(?:{package})", match[2]):
-            return replace(task(known), name=name, module="foreign", settings=settings)
-    return Task(name, "", *STEPS, "foreign", settings)
+            return replace(task(known), name=name, module="envs.adapters.foreign", settings=settings)
+    return Task(name, "", *STEPS, "envs.adapters.foreign", settings)
 
 
 def parse_own(name: str) -> Task | None:

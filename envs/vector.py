@@ -73,7 +73,7 @@ def episode_seed(seed: int, index: int, episode: int) -> int:
 def forbidden_action(actions: NDArray[np.int64], action_mask: NDArray[np.bool_]) -> int:
     """Index (sub-environment times agents plus agent) of the first action that may not be taken, or -1.
 
-    actions: [env, agent]; action_mask: [env, agent, action]. `envs.kernels` has the same for compiled rules.
+    actions: [env, agent]; action_mask: [env, agent, action]. `envs.families.kernels` has the same for compiled rules.
     """
     exists = (actions >= 0) & (actions < action_mask.shape[2])
     chosen = np.where(exists, actions, 0)[:, :, None]

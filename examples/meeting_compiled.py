@@ -11,7 +11,7 @@ the loops that call them should lie in one folder.
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.kernels import compiled, episode_state, forbidden_action, random_below
+from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
 from envs.vector import VectorEnv
 
 CELLS, STEPS = 9, 20

@@ -21,7 +21,8 @@ import torch
 from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from envs import lbf, matrix, runs
+from envs import runs
+from envs.families import lbf, matrix
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "running", "--network", "gru"]

@@ -58,7 +58,7 @@ def test_other_tasks_and_an_id_that_imports() -> None:
 
 def test_registering_again_changes_nothing(recwarn: pytest.WarningsRecorder) -> None:
     before = dict(gymnasium.registry)
-    envs.as_gymnasium.register()
+    envs.adapters.as_gymnasium.register()
     assert gymnasium.registry == before and not recwarn
 
 

@@ -325,7 +325,11 @@ def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
     ("flags", "code", "says"),
     [
         (["lbf-6x6-2p-2f"], 0, "lbf-6x6-2p-2f keeps the contract."),
-        (["gymnasium:lbforaging:Foraging-5x5-2p-1f-v3"], 1, "a resumed run would differ"),  # see `envs.foreign`
+        (
+            ["gymnasium:lbforaging:Foraging-5x5-2p-1f-v3"],
+            1,
+            "a resumed run would differ",
+        ),  # see foreign.py
         (
             ["pettingzoo:mpe2.simple_spread_v3", "--env-kwargs", "N=2", "--max-episode-steps", "5"],
             0,

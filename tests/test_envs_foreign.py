@@ -24,7 +24,7 @@ from test_algos_runs import command, evaluations, main
 from toys import Queue
 
 import envs
-from envs.foreign import parse_kwargs
+from envs.adapters.foreign import parse_kwargs
 from envs.vector import episode_seed
 
 SPREAD = "pettingzoo:mpe2.simple_spread_v3"

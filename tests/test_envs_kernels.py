@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import envs
-from envs.kernels import compiled, episode_state, forbidden_action, mix, random_below
+from envs.families.kernels import compiled, episode_state, forbidden_action, mix, random_below
 
 PACKAGE = Path(envs.__file__).parent
 
@@ -103,11 +103,12 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
 
 def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
     """The rule is in one file, the compiled loop that calls it in another."""
-    loop = "from envs.kernels import compiled\nimport rule\nf = rule.f\n@compiled\ndef loop(x):\n    return f(x) + 1\n"
+    loop = "from envs.families.kernels import compiled\nimport rule\nf = rule.f\n"
+    loop += "@compiled\ndef loop(x):\n    return f(x) + 1\n"
     (tmp_path / "loop.py").write_text(loop)
     paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
     for factor in (10, 100):
-        text = f"from envs.kernels import compiled\n@compiled\ndef f(x):\n    return {factor} * x\n"
+        text = f"from envs.families.kernels import compiled\n@compiled\ndef f(x):\n    return {factor} * x\n"
         (tmp_path / "rule.py").write_text(text)
         said = run(
             "import loop; print(loop.loop(2))", tmp_path, PYTHONPATH=paths, XDG_CACHE_HOME=str(tmp_path / "cache")
@@ -143,7 +144,7 @@ def test_where_numba_finds_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
             raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
         return "compiled"
 
-    monkeypatch.setattr("envs.kernels.numba.njit", njit)
+    monkeypatch.setattr("envs.families.kernels.numba.njit", njit)
     assert compiled(lambda x: x) == "compiled"
 
 

@@ -21,7 +21,7 @@ from lbforaging.foraging import ForagingEnv
 from numpy.typing import NDArray
 
 import envs
-from envs import lbf
+from envs.families import lbf
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("lbf-*.npz"))
 STEPS = 18_000 if os.environ.get("ENVS_FULL") == "1" else 1_800  # for each of the tasks below

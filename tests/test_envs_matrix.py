@@ -1,4 +1,4 @@
-"""The matrix games, against the paper's payoffs (climbing: see the note in envs/matrix.py)."""
+"""The matrix games, against the paper's payoffs (climbing: see the note in envs/families/matrix.py)."""
 
 from __future__ import annotations
 

@@ -28,7 +28,8 @@ from scripts import ROOT, load_module, trained
 from torch import nn
 
 import envs
-from envs import mpe, render, runs, tasks
+from envs import render, runs, tasks
+from envs.families import mpe
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("mpe-*.npz"))
 FULL = os.environ.get("ENVS_FULL") == "1"

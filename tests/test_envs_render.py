@@ -44,7 +44,7 @@ def test_frames_of_an_episode(name: str) -> None:
 
 
 def test_who_loads_is_seen() -> None:
-    from envs import lbf
+    from envs.families import lbf
 
     env = envs.make("lbf-6x6-2p-2f")
     assert isinstance(env, lbf.Env)
@@ -63,7 +63,7 @@ def test_who_loads_is_seen() -> None:
 
 
 def test_agents_on_one_cell_are_both_seen() -> None:
-    from envs import lbf
+    from envs.families import lbf
 
     env = envs.make("lbf-6x6-2p-1f")
     assert isinstance(env, lbf.Env)
@@ -74,7 +74,7 @@ def test_agents_on_one_cell_are_both_seen() -> None:
 
 
 def test_who_carries_and_what_is_delivered_is_seen() -> None:
-    from envs import rware
+    from envs.families import rware
 
     env = envs.make("rware-tiny-2p", seed=1)
     assert isinstance(env, rware.Env)

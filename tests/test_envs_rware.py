@@ -21,8 +21,8 @@ from rware import warehouse as package
 from rware.warehouse import Action, Direction, RewardType, Warehouse
 
 import envs
-from envs import rware
-from envs.kernels import random_below
+from envs.families import rware
+from envs.families.kernels import random_below
 
 SHARE = 1 if os.environ.get("ENVS_FULL") == "1" else 10
 AGAINST_PACKAGE = {  # steps; the package needs milliseconds for a step of many agents

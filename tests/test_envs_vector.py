@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 import envs
-from envs import kernels
+from envs.families import kernels
 from envs.vector import VectorEnv, episode_generator, episode_seed, forbidden_action
 
 TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")

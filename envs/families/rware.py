@@ -51,7 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.kernels import compiled, episode_state, forbidden_action, random_below
+from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
 
 EPISODE_LIMIT = 500
 SHELVES_HIGH = 8  # rows of shelves in a block

@@ -70,7 +70,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.kernels import WEYL, compiled, episode_state, forbidden_action, mix, random_below, wrapping
+from envs.families.kernels import WEYL, compiled, episode_state, forbidden_action, mix, random_below, wrapping
 from envs.tasks import OPPONENTS
 
 EPISODE_LIMIT = 25

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.kernels import compiled, forbidden_action
+from envs.families.kernels import compiled, forbidden_action
 
 EPISODE_LIMIT = 25
 CLIMBING = ((11, -30, 0), (-30, 7, 0), (0, 6, 5))

@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.kernels import compiled, episode_state, forbidden_action, random_below
+from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
 from envs.tasks import PLACES_TRIED
 
 EPISODE_LIMIT = 50

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 import envs
-from envs.as_gymnasium import rendering
+from envs.adapters.as_gymnasium import rendering
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]

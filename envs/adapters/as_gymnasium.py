@@ -43,7 +43,7 @@ def register() -> None:
     ids: dict[str, dict[str, Any]] = {f"marl/{name}": {"task": name} for name in task_names()}
     for id, settings in (ids | {"marl/task": {}}).items():
         if id not in gymnasium.registry:
-            gymnasium.register(id, vector_entry_point="envs.as_gymnasium:make_vec", kwargs=settings)
+            gymnasium.register(id, vector_entry_point="envs.adapters.as_gymnasium:make_vec", kwargs=settings)
 
 
 def make_vec(

@@ -1,0 +1,1 @@
+"""Bridges to other libraries: their environments as ours, and ours as theirs."""
