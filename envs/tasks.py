@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from envs.smaclite_maps import LITE_MAPS
+from envs.families.smaclite.maps import LITE_MAPS
 
 
 class InputError(ValueError):
@@ -196,7 +196,7 @@ def parse_matrix(name: str) -> Task | None:
     return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", {"penalty": penalty})
 
 
-PLACES_TRIED = 1000  # for the foods of an episode
+MOST_FOODS = 1000  # the rules try so many places for the foods of an episode (PLACES_TRIED in families/lbf.py)
 
 
 def parse_lbf(name: str) -> Task | None:
@@ -207,10 +207,8 @@ def parse_lbf(name: str) -> Task | None:
     rows, columns, n_agents, n_foods = (int(match[i]) for i in range(1, 5))
     if n_agents == 0 or n_foods == 0:
         raise InputError(f"{name}: the game needs at least one agent and one food.")
-    if n_foods > PLACES_TRIED:
-        raise InputError(
-            f"{name}: the game tries {PLACES_TRIED:,} places for its foods, so there are never more of them."
-        )
+    if n_foods > MOST_FOODS:
+        raise InputError(f"{name}: the game tries {MOST_FOODS:,} places for its foods, so there are never more of them.")
     if rows < 3 or columns < 3:
         raise InputError(f"{name}: foods never lie on the border, so a board needs at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:
@@ -316,7 +314,7 @@ def parse_smac(name: str) -> Task | None:
     if match[2] not in LITE_MAPS:
         return None
     settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
-    return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.smaclite", settings)
+    return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.smaclite.environment", settings)
 
 
 # Packages that the paper's tasks come from, and one of these tasks

@@ -1,4 +1,4 @@
-"""Scripted policies for `envs.smaclite`, those of the recorded results of SMAClite, and a loop that plays with them.
+"""Scripted policies for battles, those of the recorded results of SMAClite, and a loop that plays with them.
 
 A policy takes the environment and a random generator, and returns actions [num_envs, n_agents] for all battles.
 """
@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs import smaclite
-from envs.smaclite import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
+from envs.families.smaclite.environment import Env
+from envs.families.smaclite.rules import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
 
-Policy = Callable[[smaclite.Env, np.random.Generator], NDArray[np.int64]]
+Policy = Callable[[Env, np.random.Generator], NDArray[np.int64]]
 
 
-def play(env: smaclite.Env, policy: Policy, seed: int = 0) -> dict[str, NDArray[Any]]:
+def play(env: Env, policy: Policy, seed: int = 0) -> dict[str, NDArray[Any]]:
     """One episode in each sub-environment: its length, return, win and survivors, each [num_envs]."""
     rng = np.random.default_rng(seed)
     env.reset()
@@ -39,7 +39,7 @@ def play(env: smaclite.Env, policy: Policy, seed: int = 0) -> dict[str, NDArray[
     }
 
 
-def random(env: smaclite.Env, rng: np.random.Generator) -> NDArray[np.int64]:
+def random(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
     """Uniform over what the mask allows."""
     return np.argmax(rng.random(env.action_mask.shape) * env.action_mask, axis=2)
 
@@ -47,7 +47,7 @@ def random(env: smaclite.Env, rng: np.random.Generator) -> NDArray[np.int64]:
 def always(action: int) -> Policy:
     """That action where the mask allows it, else stop; nothing for the dead."""
 
-    def act(env: smaclite.Env, rng: np.random.Generator) -> NDArray[np.int64]:
+    def act(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
         mask = env.action_mask
         return np.where(mask[:, :, action], action, np.where(mask[:, :, STOP], STOP, 0))
 
@@ -66,7 +66,7 @@ def walk(mask: NDArray[np.bool_], across: NDArray[np.float64], up: NDArray[np.fl
     return actions
 
 
-def attack_nearest(env: smaclite.Env, rng: np.random.Generator, hold: bool = False) -> NDArray[np.int64]:
+def attack_nearest(env: Env, rng: np.random.Generator, hold: bool = False) -> NDArray[np.int64]:
     """Attack the nearest enemy among those that may be attacked; else walk to the nearest, or hold.
 
     Healers heal the ally with the smallest part of its hp left; else they follow the nearest ally.
@@ -104,18 +104,18 @@ def attack_nearest(env: smaclite.Env, rng: np.random.Generator, hold: bool = Fal
     return np.where(alive[:, :n_allies], actions, 0)
 
 
-def hold_attack(env: smaclite.Env, rng: np.random.Generator) -> NDArray[np.int64]:
+def hold_attack(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
     """As `attack_nearest`, but nobody walks."""
     return attack_nearest(env, rng, hold=True)
 
 
-def attack_eps20(env: smaclite.Env, rng: np.random.Generator) -> NDArray[np.int64]:
+def attack_eps20(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
     """Each agent acts at random with probability 0.2, else as `attack_nearest`."""
     at_random = rng.random((env.num_envs, env.n_agents)) < 0.2
     return np.where(at_random, random(env, rng), attack_nearest(env, rng))
 
 
-def kite(env: smaclite.Env, rng: np.random.Generator, too_near: float = 2.5) -> NDArray[np.int64]:
+def kite(env: Env, rng: np.random.Generator, too_near: float = 2.5) -> NDArray[np.int64]:
     """Shoot, and run while the weapon cools down; for maps on which everybody shoots and nobody flies."""
     unit, n_allies = env.game.unit, env.n_agents
     actions = attack_nearest(env, rng)

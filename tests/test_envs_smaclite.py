@@ -23,8 +23,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import envs
-from envs import smaclite, smaclite_maps
-from envs.smaclite import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
+from envs.families.smaclite import environment, maps, rules
+from envs.families.smaclite.environment import Env
+from envs.families.smaclite.rules import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
 
 FULL = os.environ.get("ENVS_FULL") == "1"
 EPISODES = 1_000 if FULL else 100
@@ -33,9 +34,9 @@ MAPS = ("2s_vs_1sc", "3s5z", "MMM2", "corridor", "3s_vs_5z")
 KINDS = ("length", "return", "win", "allies_alive", "enemies_alive")
 
 
-def make(name: str, num_envs: int = 1, **others: Any) -> smaclite.Env:
+def make(name: str, num_envs: int = 1, **others: Any) -> Env:
     env = envs.make(f"smaclite-{name}", num_envs, **others)
-    assert isinstance(env, smaclite.Env)
+    assert isinstance(env, Env)
     env.reset()
     return env
 
@@ -45,7 +46,7 @@ def table(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(lines))
 
 
-def index(env: smaclite.Env, side: str, number: str) -> int:
+def index(env: Env, side: str, number: str) -> int:
     """Of a unit among all."""
     return int(number) + (env.n_agents if side == "enemy" else 0)
 
@@ -116,7 +117,7 @@ def test_masks_observations_and_states(name: str, suffix: str, file: str, key: s
             unit.hp = float(row["hp"]) if row["alive"] == "1" else 0
             unit.cooldown = float(row["cooldown_fraction"]) * unit.cooldown_scale
         env.game.last_action[0] = expected[case]["last_action", ""]
-        smaclite.observe_env(env.game, env.config, 0)
+        rules.observe_env(env.game, env.config, 0)
         np.testing.assert_allclose(env.state[0], expected[case]["state", ""], rtol=0, atol=2e-4)
         for i in range(env.n_agents):
             np.testing.assert_array_equal(env.action_mask[0, i], expected[case]["avail", str(i)])
@@ -249,7 +250,7 @@ def test_kiting_pays_on_starcrafts_clock() -> None:
     """
     kite, starts = battles.POLICIES["pkite25"], np.random.default_rng(0)
 
-    def moved_a_little() -> smaclite.Env:
+    def moved_a_little() -> Env:
         env = make("3s_vs_5z", 200)
         unit = env.game.unit
         unit.start_x[:] = (unit.start_x + starts.normal(0, 1e-5, unit.start_x.shape)).astype(np.float32)
@@ -260,8 +261,8 @@ def test_kiting_pays_on_starcrafts_clock() -> None:
     assert not lite["win"].any() and 5.7 < lite["return"].mean() < 8
     env = moved_a_little()
     for i, unit in enumerate(env.unit_names):
-        env.game.unit.speed[:, i] = smaclite_maps.SC2_UNITS[unit].speed
-        env.game.unit.full_cooldown[:, i] = smaclite_maps.SC2_UNITS[unit].cooldown
+        env.game.unit.speed[:, i] = maps.SC2_UNITS[unit].speed
+        env.game.unit.full_cooldown[:, i] = maps.SC2_UNITS[unit].cooldown
     switched = battles.play(env, kite)
     won = switched["win"] == 1
     print(f"clock switched: win rate {won.mean():.3f}, return of victories {switched['return'][won].mean():.2f}")
@@ -276,7 +277,7 @@ def test_kiting_pays_on_starcrafts_clock() -> None:
 # ---------------------------------------------------------------------------------------------------------------------
 
 
-def put(env: smaclite.Env, places: dict[int, tuple[float, float]]) -> Any:
+def put(env: Env, places: dict[int, tuple[float, float]]) -> Any:
     """Leave only these units alive, there, and never let the enemies walk anywhere; returns the units."""
     unit = env.game.unit[0]
     for i in range(len(unit)):
@@ -284,7 +285,7 @@ def put(env: smaclite.Env, places: dict[int, tuple[float, float]]) -> Any:
             unit[i].x, unit[i].y = unit[i].goal_x, unit[i].goal_y = places[i]
         else:
             unit[i].hp = 0
-    smaclite.observe_env(env.game, env.config, 0)
+    rules.observe_env(env.game, env.config, 0)
     return unit
 
 
@@ -342,17 +343,17 @@ def test_damage(name: str, attacker: int, target: int, on_shield: int, on_hp: in
     me.hits = 1
     full = other.max_hp
     if on_shield:
-        smaclite.attack(me, other, 0.0)
+        rules.attack(me, other, 0.0)
         assert [other.shield, other.hp] == [other.max_shield - on_shield, full]
         assert other.quiet == 10
         other.shield = on_shield - 5
-        smaclite.attack(me, other, 0.0)
+        rules.attack(me, other, 0.0)
         assert [other.shield, other.hp] == [0, full - max(5 - other.armour, 0)]
     other.shield, other.hp = 0, full
-    assert smaclite.attack(me, other, 0.0) == on_hp
+    assert rules.attack(me, other, 0.0) == on_hp
     assert other.hp == full - on_hp
     other.hp = 1
-    assert smaclite.attack(me, other, 0.0) == 1 and other.hp == 0
+    assert rules.attack(me, other, 0.0) == 1 and other.hp == 0
 
 
 @pytest.mark.parametrize(
@@ -365,7 +366,7 @@ def test_ticks_between_attacks(name: str, attacker: int, ticks: int) -> None:
     me.chosen_x = me.chosen_y = 0
     passed = 0
     while me.cooldown > 0:
-        smaclite.move(me, False)
+        rules.move(me, False)
         passed += 1
     assert passed == ticks
 
@@ -375,7 +376,7 @@ def test_an_enemy_sees_as_far_as_the_largest_unit_reaches_out(suffix: str) -> No
     """Of two zealots at the edge of its sight a zergling chooses the nearer, also where bodies are smaller (-sc2)."""
     env = make(f"corridor{suffix}")
     unit = put(env, {0: (20, 25.45), 1: (20, 14.6), 6: (20, 20)})
-    smaclite.tick(env.game, env.config, 0)
+    rules.tick(env.game, env.config, 0)
     assert unit[6].target == 1
 
 
@@ -388,9 +389,9 @@ def test_whose_targets_are_looked_through_first(name: str, kept: bool) -> None:
     unit[0].order = unit[0].target = enemy
     unit[enemy].target = 0
     for agent in (0, 1):
-        smaclite.give_order(unit[agent], STOP, enemy)
+        rules.give_order(unit[agent], STOP, enemy)
     for target in (0 if kept else 1, 1):
-        smaclite.tick(env.game, env.config, 0)
+        rules.tick(env.game, env.config, 0)
         assert unit[enemy].target == target
 
 
@@ -401,17 +402,17 @@ def test_a_spine_crawler_looks_around(suffix: str, chosen: int) -> None:
     x, y = env.game.unit[0, 2].x, env.game.unit[0, 2].y
     unit = put(env, {0: (x, y - 6), 1: (x, y - 5.9), 2: (x, y)})
     unit[2].target = 0
-    smaclite.tick(env.game, env.config, 0)
+    rules.tick(env.game, env.config, 0)
     assert unit[2].target == chosen
 
 
 def test_a_shield_regenerates_after_ten_seconds() -> None:
     env = make("3s5z")
     me = env.game.unit[0, 0]
-    smaclite.attack(env.game.unit[0, 8], me, 0.0)
+    rules.attack(env.game.unit[0, 8], me, 0.0)
     shield = float(me.shield)
     for tick in range(1, 162):
-        smaclite.move(me, False)
+        rules.move(me, False)
         assert me.shield == shield + 2 / 16 * max(tick - 159, 0)
 
 
@@ -437,15 +438,15 @@ def test_a_side_of_several_types_against_one(monkeypatch: pytest.MonkeyPatch, mi
     types = ("stalker", "zealot", "marine")
     names: dict[str, Any] = {"ally_types": types} if mixed == "allies" else {"enemy_types": types}
     groups = {"allies": ("zealot",) * 3, "enemies": ("zealot",) * 3} | {mixed: types}
-    field = smaclite_maps.Map(
+    field = maps.Map(
         100,
-        (smaclite_maps.Group(9, 16, groups["allies"]),),
-        smaclite_maps.Group(13, 16, groups["enemies"]),
+        (maps.Group(9, 16, groups["allies"]),),
+        maps.Group(13, 16, groups["enemies"]),
         (9, 16),
-        smaclite_maps.PLAIN,
+        maps.PLAIN,
         **names,
     )
-    monkeypatch.setitem(smaclite_maps.LITE_MAPS, "mixed", field)
+    monkeypatch.setitem(maps.LITE_MAPS, "mixed", field)
     env = envs.make("smaclite-mixed", 1)
     observations, info = env.reset()
     n_bits = 3
@@ -464,8 +465,8 @@ def test_a_side_of_several_types_against_one(monkeypatch: pytest.MonkeyPatch, mi
 def test_more_allies_than_enemies_and_a_healer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A map of one's own. Each ally has an action of the healer, the last one too."""
     units = ("medivac", *("marine",) * 5)
-    monkeypatch.setitem(smaclite_maps.LITE_MAPS, "clinic", smaclite_maps.meeting(100, units, ("marine",) * 2))
-    env = smaclite.Env("clinic", 1, 0, True, map_name="clinic", rule_set="lite")
+    monkeypatch.setitem(maps.LITE_MAPS, "clinic", maps.meeting(100, units, ("marine",) * 2))
+    env = Env("clinic", 1, 0, True, map_name="clinic", rule_set="lite")
     env.reset()
     assert env.n_actions == ATTACK + 6
     unit = put(env, {0: (9, 16), 5: (10, 16), 6: (30, 16)})
@@ -489,7 +490,7 @@ def test_a_patient_saved_in_the_tick_of_its_death() -> None:
         unit.order[:, medivac] = unit.target[:, medivac] = patient
         unit.hp[:, patient] = 1
         for e in range(400):
-            smaclite.tick(env.game, env.config, e)
+            rules.tick(env.game, env.config, e)
         saved = (unit.hp[:, patient] > 0).mean()
         assert abs(saved - chance) < 5 * (chance * (1 - chance) / 400) ** 0.5 + 1e-9
 
@@ -550,7 +551,7 @@ def test_weapons_of_starcraft_jitter() -> None:
     unit = env.game.unit
     unit.x[:, 0], unit.y[:, 0] = 13.92, 14
     for e in range(1_000):
-        smaclite.tick(env.game, env.config, e)
+        rules.tick(env.game, env.config, e)
     ticks = np.ceil(unit.cooldown[:, 2] * 16).astype(int)
     values, counts = np.unique(ticks, return_counts=True)
     assert values.tolist() == [29, 30, 31, 32] and (abs(counts - 250) < 5 * 14).all()
@@ -576,7 +577,7 @@ def test_starcrafts_maps() -> None:
 
 
 @given(
-    name=st.sampled_from(sorted(smaclite_maps.LITE_MAPS)),
+    name=st.sampled_from(sorted(maps.LITE_MAPS)),
     suffix=st.sampled_from(["", "-sc2"]),
     policy=st.sampled_from(["random", "attack_eps20", "attack_nearest", "west", "north"]),
     seed=st.integers(0, 2**32),
@@ -602,12 +603,12 @@ def test_what_always_holds(name: str, suffix: str, policy: str, seed: int) -> No
         # The dead do nothing, see nothing, and are nobody's target
         assert not unit.hp[dead].any()
         assert (unit.x[dead] == before.x[dead]).all() and (unit.y[dead] == before.y[dead]).all()
-        assert (unit.shot[dead & running[:, None]] == smaclite.NOBODY).all()
+        assert (unit.shot[dead & running[:, None]] == rules.NOBODY).all()
         assert not observations[~alive[:, :n]].any()
         assert info["action_mask"][~alive[:, :n]].sum() == (~alive[:, :n]).sum()
         assert info["action_mask"][:, :, 0][~alive[:, :n]].all()
         for e, i in zip(*np.nonzero(alive)):
-            assert unit.target[e, i] == smaclite.NOBODY or not dead[e, unit.target[e, i]] or not running[e]
+            assert unit.target[e, i] == rules.NOBODY or not dead[e, unit.target[e, i]] or not running[e]
 
         # Who stands overlaps with nobody by more than two units approach each other in a tick, and a little
         apart = np.hypot(unit.x[:, :, None] - unit.x[:, None], unit.y[:, :, None] - unit.y[:, None])
@@ -631,7 +632,7 @@ def inside(wall: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.b
     return result
 
 
-@given(name=st.sampled_from(sorted(smaclite_maps.LITE_MAPS)), suffix=st.sampled_from(["", "-sc2"]), seed=st.integers(0))
+@given(name=st.sampled_from(sorted(maps.LITE_MAPS)), suffix=st.sampled_from(["", "-sc2"]), seed=st.integers(0))
 @settings(max_examples=100 if FULL else 10, deadline=None)
 def test_at_most_20_return_without_regeneration(name: str, suffix: str, seed: int) -> None:
     env = make(name + suffix, 4, seed=seed % 2**64)
@@ -675,7 +676,7 @@ def test_an_episode_begins_unhurt(suffix: str) -> None:
     for _ in range(60):
         fought.step(battles.attack_nearest(fought, np.random.default_rng(0)))
     fought.game.unit[0, medivac].bought += 1
-    assert fought.game.unit[0, medivac].energy < smaclite.ENERGY
+    assert fought.game.unit[0, medivac].energy < rules.ENERGY
     fought.reset()
     for name in "x y velocity_x velocity_y hp shield energy bought cooldown quiet order target".split():
         np.testing.assert_array_equal(fought.game.unit[name], fresh.game.unit[name], err_msg=name)
@@ -768,12 +769,12 @@ def test_pictures() -> None:
         env = make(name, 2)
         start = env.frame(1)
         assert start.dtype == np.uint8 and start.ndim == 3 and env.can_draw
-        allies = near(start, smaclite.ALLY)
-        assert allies > 300 and near(start, smaclite.ENEMY) > 300
-        assert near(start, smaclite.GRAVE) == 0
-        assert (near(start, smaclite.WALL) > 0) == (name != "3s_vs_5z-sc2")
+        allies = near(start, environment.ALLY)
+        assert allies > 300 and near(start, environment.ENEMY) > 300
+        assert near(start, environment.GRAVE) == 0
+        assert (near(start, environment.WALL) > 0) == (name != "3s_vs_5z-sc2")
         for _ in range(30):
             env.step(battles.attack_nearest(env, np.random.default_rng(0)))
         frame = env.frame(1)
         assert frame.shape == start.shape
-        assert near(frame, smaclite.ALLY) < allies and near(frame, smaclite.GRAVE) > 0
+        assert near(frame, environment.ALLY) < allies and near(frame, environment.GRAVE) > 0

@@ -5,7 +5,7 @@
 To install: `pip install git+https://github.com/oxwhirl/smac.git` (the package of that name on PyPI is another one);
 StarCraft II, Blizzard's package for Linux, version 4.10 or, for the paper's figures, 4.6.2; its folder in the
 environment variable SC2PATH (default ~/StarCraftII); in it, as Maps/SMAC_Maps, the package's folder of maps. Without
-them, `envs.smaclite` has battles on the same maps.
+them, `envs.families.smaclite` has battles on the same maps.
 
 Observations, state (with last actions), masks and rewards are those of the package with its default options. End: the
 battle is won, lost or drawn, a termination; the map's number of steps, a truncation. Statistics: battle_won,

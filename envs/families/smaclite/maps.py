@@ -1,4 +1,4 @@
-"""The units, maps and rule sets of `envs.smaclite`, as tables: a new map is a new entry of `LITE_MAPS`.
+"""The units, maps and rule sets of the battles, as tables: a new map is a new entry of `LITE_MAPS`.
 
 Two rule sets. LITE is what SMAClite (Michalski, Christianos and Albrecht, 2023) computes. SC2 is as near to StarCraft
 II, and to the SMAC benchmark (Samvelyan et al., 2019) on top of it, as this engine goes. Lengths are in cells, times in
