@@ -417,7 +417,7 @@ def train(args: Args) -> None:
     run.complete()
 
 
-# --- from here on the text is the same in all nine scripts; files are made in envs/runs.py ---
+# --- from here on the text is the same in all nine scripts; files are made in envs/runs/ ---
 def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
     """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
     observations, info = env.reset(seed=seed)

@@ -293,7 +293,7 @@ def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch,
 
 
 class Replay:
-    """The last episodes, kept on the disk by envs/runs.py, and the batches drawn from them."""
+    """The last episodes, kept on the disk by envs/runs/, and the batches drawn from them."""
 
     def __init__(self, args: Args, env: VectorEnv, room: Batch, path: Path):
         if env.num_envs != 1:
@@ -404,7 +404,7 @@ def train(args: Args) -> None:
     run.complete()
 
 
-# --- from here on the text is the same in all nine scripts; files are made in envs/runs.py ---
+# --- from here on the text is the same in all nine scripts; files are made in envs/runs/ ---
 def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
     """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
     observations, info = env.reset(seed=seed)

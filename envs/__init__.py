@@ -15,12 +15,12 @@ import inspect
 import numbers
 import os
 from collections.abc import Mapping
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from envs import fast_mkl  # noqa: F401 (it must come before whatever imports PyTorch)
 from envs.adapters import as_gymnasium
 from envs.adapters.foreign import import_module, parse_kwargs
-from envs.runs import optional
 from envs.tasks import InputError, Task, task, task_names
 from envs.vector import EpisodeTotals, VectorEnv, check_one_team, check_teams
 
@@ -128,6 +128,17 @@ def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) ->
         env_workers=args.env_workers,
         pictures=pictures,
     )
+
+
+def optional(package: str, extra: str | None = None) -> ModuleType:
+    """Imports a package that only an extra of ours brings along (by default one of the package's own name).
+
+    Raises InputError, naming the extra, where it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise InputError(f"{package} is not installed; pip install -e '.[{extra or package}]' does it.") from None
 
 
 def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], episodes: int = 5) -> str:

@@ -208,7 +208,9 @@ def parse_lbf(name: str) -> Task | None:
     if n_agents == 0 or n_foods == 0:
         raise InputError(f"{name}: the game needs at least one agent and one food.")
     if n_foods > MOST_FOODS:
-        raise InputError(f"{name}: the game tries {MOST_FOODS:,} places for its foods, so there are never more of them.")
+        raise InputError(
+            f"{name}: the game tries {MOST_FOODS:,} places for its foods, so there are never more of them."
+        )
     if rows < 3 or columns < 3:
         raise InputError(f"{name}: foods never lie on the border, so a board needs at least 3 rows and 3 columns.")
     if (rows - 2) * (columns - 2) <= n_agents:

@@ -24,6 +24,7 @@ from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
 import envs
+from envs import runs
 
 NUM_ENVS, BATCH, EPOCHS, MINIBATCHES = 8, 1024, 4, 4
 
@@ -101,5 +102,5 @@ def main(
 
 
 if __name__ == "__main__":
-    with envs.runs.one_sentence(__file__):
+    with runs.one_sentence(__file__):
         tyro.cli(main)

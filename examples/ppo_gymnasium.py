@@ -14,7 +14,7 @@ import tyro
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from torch import nn
 
-import envs  # this registers the tasks in Gymnasium
+from envs import runs  # to import envs registers the tasks in Gymnasium
 
 
 def network(inputs: int, outputs: int) -> nn.Module:
@@ -92,5 +92,5 @@ def main(task: str = "lbf-5x5-2p-1f", seed: int = 0, total_timesteps: int = 500_
 
 
 if __name__ == "__main__":
-    with envs.runs.one_sentence(__file__):
+    with runs.one_sentence(__file__):
         tyro.cli(main)

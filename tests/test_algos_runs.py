@@ -268,7 +268,7 @@ def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tm
             raise KeyError("killed in the ninth batch")
 
     with monkeypatch.context() as patch, pytest.raises(KeyError):
-        patch.setattr(runs, "SAVE_SECONDS", 0)
+        patch.setattr(runs.directory, "SAVE_SECONDS", 0)
         patch.setattr(script(name).runs.Log, "batch", end)
         main(patch, capsys, name, *short(name), "--run-dir", tmp_path / "run")
     assert runs.read_checkpoint(tmp_path / "run", name)["episode"] == 8
@@ -364,7 +364,7 @@ def test_tables_of_a_complete_run_are_made_again(mappo_run, monkeypatch, capsys,
 
 
 def test_progress_for_whoever_watches(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(runs, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(runs.log, "PROGRESS_SECONDS", 0)
     stop_after(monkeypatch, capsys, "mappo", tmp_path / "run", 4)
     progress = json.loads((tmp_path / "run" / "progress.json").read_text())
     assert progress["timestep"] == runs.read_checkpoint(tmp_path / "run", "mappo")["timestep"]
@@ -377,7 +377,7 @@ def test_progress_for_whoever_watches(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize("name", ["mappo", "iql"])
 def test_a_full_disk_ends_in_one_sentence(monkeypatch, capsys, tmp_path, name):
     (tmp_path / "checkpoint.new.pt").symlink_to("/dev/full")
-    monkeypatch.setattr(runs, "last_checkpoint", lambda directory: None)
+    monkeypatch.setattr(runs.directory, "last_checkpoint", lambda directory: None)
     code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path, "--resume")
     assert code == 2 and "No space left" in said.splitlines()[-1]
 
@@ -532,7 +532,7 @@ class TestWrongInput:
 
     def test_a_directory_in_use(self, mappo_run, monkeypatch, capsys):
         flags, directory = mappo_run
-        with runs.filelock.FileLock(directory / "lock"):
+        with runs.directory.filelock.FileLock(directory / "lock"):
             said = self.refused(monkeypatch, capsys, *flags, directory, "--resume")
         assert "Another run is using" in self.one_sentence(said)
 
@@ -562,7 +562,7 @@ class TestWrongInput:
         assert reason in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
 
     def test_a_replay_that_does_not_fit(self, monkeypatch, capsys, tmp_path):
-        monkeypatch.setattr(runs.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
+        monkeypatch.setattr(runs.replay.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
         said = self.refused(monkeypatch, capsys, *short("qmix"), "--run-dir", tmp_path / "run", name="qmix")
         assert "more than the free memory" in said.splitlines()[-1]
         assert not (tmp_path / "run" / "replay.bin").exists()

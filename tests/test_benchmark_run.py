@@ -34,6 +34,7 @@ import run
 import search
 import training
 import view
+from envs import runs
 
 BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
 
@@ -333,7 +334,7 @@ class TestRunning:
         assert campaign(monkeypatch, *words) == 0
         config = Path("results/matrix-climbing/own-shared.json")
         settings = json.loads(config.read_text())
-        settings["seeds"]["0"]["script"] = envs.runs.script_hash(scripts / "own.py")  # the stand-in does not say it
+        settings["seeds"]["0"]["script"] = runs.script_hash(scripts / "own.py")  # the stand-in does not say it
         config.write_text(json.dumps(settings))
         assert campaign(monkeypatch, *words) == 0
         (scripts / "own.py").write_text(f"{STAND_IN}# changed\n")

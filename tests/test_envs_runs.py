@@ -358,24 +358,25 @@ class TestCommit:
             done = subprocess.run(["git", *identity, *words], cwd=tmp_path, check=True, capture_output=True, text=True)
             return done.stdout.strip()
 
-        (tmp_path / "envs").mkdir()
-        monkeypatch.setattr(runs, "__file__", str(tmp_path / "envs" / "runs.py"))
+        module = tmp_path / "envs" / "runs" / "process.py"
+        module.parent.mkdir(parents=True)
+        monkeypatch.setattr(runs.process, "__file__", str(module))
         for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
             monkeypatch.delenv(name, raising=False)
         monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-        assert runs._commit() is None
+        assert runs.process._commit() is None
         git("init")
-        (tmp_path / "envs" / "runs.py").write_text("1")
-        git("add", "envs/runs.py")
+        module.write_text("1")
+        git("add", "envs")
         git("commit", "-m", "first")
         git("tag", "a-tag")
-        assert runs._commit() == git("rev-parse", "HEAD")
-        (tmp_path / "envs" / "runs.py").write_text("2")
-        assert runs._commit() == git("rev-parse", "HEAD") + "-dirty"
-        installed = tmp_path / "site-packages" / "envs" / "runs.py"  # in another project's checkout
+        assert runs.process._commit() == git("rev-parse", "HEAD")
+        module.write_text("2")
+        assert runs.process._commit() == git("rev-parse", "HEAD") + "-dirty"
+        installed = tmp_path / "site-packages" / "envs" / "runs" / "process.py"  # in another project's checkout
         installed.parent.mkdir(parents=True)
-        monkeypatch.setattr(runs, "__file__", str(installed))
-        assert runs._commit() is None
+        monkeypatch.setattr(runs.process, "__file__", str(installed))
+        assert runs.process._commit() is None
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

@@ -1,0 +1,252 @@
+"""The directory of a run: its lock, its checkpoints, and the tables that people read."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import importlib.metadata
+import io
+import json
+import math
+import os
+import re
+import time
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags
+from envs.runs.process import Stopwatch, provenance, say, script_hash
+from envs.tasks import InputError
+
+CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
+OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
+
+SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run loses
+
+SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
+
+    Raises OSError, on a full disk for example, and then leaves what was there.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with open(new, "w", newline="\n", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:
+    """The last whole checkpoint of an algorithm's run. Raises InputError where a directory has none."""
+    saved = last_checkpoint(directory)
+    if saved is None or saved["config"]["algorithm"] != algorithm:
+        raise InputError(f"{directory} holds no checkpoint of {algorithm}.")
+    return saved
+
+
+def is_whole(checkpoint: Path) -> bool:
+    """Whether every byte of a checkpoint is as it was written. PyTorch writes zip files, and does not look at their
+    check sums itself."""
+    try:
+        with zipfile.ZipFile(checkpoint) as file:
+            return file.testzip() is None
+    except Exception:  # zipfile raises almost anything on a damaged file
+        return False
+
+
+def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """The last checkpoint in a directory that is whole, or None where there has never been one.
+
+    Raises InputError where there are checkpoints, but none that can be read.
+    """
+    import torch
+
+    damaged = []
+    for path in (Path(directory, name) for name in CHECKPOINTS):
+        if not path.exists():
+            continue
+        if not is_whole(path):
+            damaged.append(path.name)
+            continue
+        try:
+            saved = torch.load(path, map_location="cpu", weights_only=True)
+            saved["config"]["algorithm"], saved["config"]["flags"], saved["rows"], saved["seconds"]
+            return dict(saved)
+        except Exception:  # torch.load raises almost anything on a damaged file
+            damaged.append(path.name)
+    if damaged in ([], ["checkpoint.new.pt"]) and not Path(directory, "evaluations.csv").exists():
+        return None  # the very first one has not been written, or not to its end
+    raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged) or 'they are gone'}).")
+
+
+@contextlib.contextmanager
+def fitting_checkpoint(directory: str | os.PathLike[str]) -> Iterator[None]:
+    """Raises InputError where what a checkpoint holds does not fit the script that loads it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise InputError(f"{directory}: the checkpoint does not fit this script ({type(error).__name__}).") from error
+
+
+def safe_name(text: str) -> str:
+    """The text as a name that every file system accepts; a very long one is cut and told apart by a hash."""
+    name = re.sub(r"[^A-Za-z0-9_.=-]", "_", text)
+    if len(name) > 200:
+        name = f"{name[:180]}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    return name
+
+
+class RunDirectory:
+    """The directory of one run. It is locked while the process lives, and its files are written whole or not at all."""
+
+    def __init__(self, script: str | os.PathLike[str], args: Any, default: Any) -> None:
+        """Makes the directory, or opens it to go on with the run in it.
+
+        script: the file that runs. args, default: its Args as they are, and as the paper has them for this task.
+        Raises InputError where it holds a run and --resume is missing, where it holds anything else, where another
+        process uses it, and where the file system cannot write its name.
+        """
+        self.args = args
+        self.config = describe(script, args, default)
+        self._stopwatch = Stopwatch()
+        self._saved_at = time.monotonic()
+        self.path = path = Path(args.run_dir) if args.run_dir else self._default_path()
+        try:
+            found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
+            foreign = [name for name in found if not self._is_ours(name)]
+            begun = any(name.removesuffix(".new") in (*CHECKPOINTS, "progress.json") for name in found)
+            if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
+                raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
+            if begun and not args.resume:
+                raise InputError(f"{path} holds a run: --resume goes on with it, another --run-dir begins a new one.")
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock = filelock.FileLock(path / "lock").acquire(timeout=0)
+        except filelock.Timeout:
+            raise InputError(f"Another run is using {path}.") from None
+        except InputError:
+            raise
+        except ValueError as error:  # a character that the file system's encoding lacks, or a NUL
+            raise InputError(f"No directory can have the name {str(path)!a}: {error}.") from None
+
+    def _default_path(self) -> Path:
+        """runs/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...]/seed<seed>, safe for every file system."""
+        setting = f"{self.config['algorithm']}-{'shared' if self.args.parameter_sharing else 'independent'}"
+        for name, value in self.config["changed"].items():
+            if name not in NOT_IN_DIRECTORY:
+                setting += f"-{name.replace('_', '-')}={value}"
+        return Path("runs", safe_name(self.args.env), safe_name(setting), f"seed{self.args.seed}")
+
+    @staticmethod
+    def _is_ours(name: str) -> bool:
+        """Whether a run leaves a file of this name."""
+        known = (*CHECKPOINTS, *OTHER_FILES)
+        return name in known or name.removesuffix(".new") in known or name.startswith("events.out.tfevents")
+
+    def checkpoint(self) -> dict[str, Any] | None:
+        """The last checkpoint, or None. The tables that people read are made again from it where they differ.
+
+        Raises InputError where it was made by another algorithm or with other flags.
+        """
+        saved = last_checkpoint(self.path)
+        if saved is None:
+            return None
+        then, now = saved["config"], self.config
+        if then["algorithm"] != now["algorithm"]:
+            raise InputError(f"{self.path} holds a run of {then['algorithm']}.py.")
+        flags = then["flags"]
+        changed = [name for name in flags if name not in MAY_CHANGE and flags[name] != now["flags"].get(name)]
+        if changed:
+            words = ", ".join(as_flag(name, flags[name]) for name in changed)
+            raise InputError(f"{self.path} was begun with {words}, and this cannot change.")
+        if now["flags"]["total_timesteps"] < flags["total_timesteps"]:
+            words = as_flag("total_timesteps", flags["total_timesteps"])
+            raise InputError(f"{self.path} was begun with {words}; timesteps can only be added.")
+        if now["flags"]["total_timesteps"] > flags["total_timesteps"] and flags["eval_points"] > 1:
+            intervals, total = flags["eval_points"] - 1, now["flags"]["total_timesteps"]
+            apart = f"its evaluations stay {saved['budget'] / intervals:,.0f} steps apart"
+            if total * intervals % saved["budget"]:  # else there would be none at its end
+                step = saved["budget"] // math.gcd(saved["budget"], intervals)
+                fitting = max(total // step * step, flags["total_timesteps"])
+                words = f"{as_flag('total_timesteps', fitting)} or {fitting + step}"
+                raise InputError(f"{self.path} cannot become so long, since {apart}: {words} fits.")
+            say(f"{self.path} becomes longer; {apart}.")
+        self._stopwatch = Stopwatch(**saved["seconds"])
+        self._write_tables(saved)
+        return saved
+
+    def seconds(self) -> dict[str, float]:
+        """wall_seconds and cpu_seconds spent on the run so far, also before it was resumed; without --env-workers'."""
+        return self._stopwatch.seconds()
+
+    def save(self, rows: Sequence[Mapping[str, Any]], **state: Any) -> None:
+        """Keeps a checkpoint, and the one before it; then writes config.json, and the rows as evaluations.csv.
+
+        rows, state: tensors and plain types only. A process that is killed in the middle leaves older tables, which
+        `checkpoint` renews.
+        """
+        import torch
+
+        saved = {"config": self.config, "rows": rows, "seconds": self.seconds(), **state}
+        last, previous, new = (self.path / name for name in CHECKPOINTS)
+        in_memory = io.BytesIO()  # on a full disk torch.save itself would end with a RuntimeError
+        torch.save(saved, in_memory)
+        with open(new, "wb") as file:
+            file.write(in_memory.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())  # it takes the place of a good one
+        if last.exists():
+            last.replace(previous)
+        new.replace(last)
+        self._write_tables(saved)
+        self._saved_at = time.monotonic()
+
+    @property
+    def save_is_due(self) -> bool:
+        """Whether the last checkpoint is older than SAVE_SECONDS, as where evaluations are far apart."""
+        return time.monotonic() - self._saved_at > SAVE_SECONDS
+
+    def _write_tables(self, saved: Mapping[str, Any]) -> None:
+        table = io.StringIO()
+        columns = list(dict.fromkeys(name for row in saved["rows"] for name in row))  # a later row may have more
+        writer = csv.DictWriter(table, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(saved["rows"])
+        texts = {"evaluations.csv": table.getvalue(), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
+        for name, text in texts.items():
+            path = self.path / name
+            if not path.exists() or path.read_bytes() != text.encode():
+                write_whole(path, text)
+
+    def complete(self) -> None:
+        """Deletes what only a running run needs."""
+        for name in ("progress.json", "replay.bin"):
+            (self.path / name).unlink(missing_ok=True)
+
+
+def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[str, Any]:
+    """What config.json says of a run: what was computed, and where a result came from, in plain types.
+
+    script: the file of the running script; its text is named by a hash, so that a changed copy is told apart.
+    args, default: the script's Args as they are, and as the paper has them for this task.
+    """
+    return {
+        "algorithm": Path(script).stem,
+        "flags": vars(args),
+        "changed": changed_flags(args, default),
+        "paper_timesteps": default.total_timesteps,
+        "version": importlib.metadata.version("marl-baselines"),
+        "script": script_hash(script),
+        **provenance(),
+    }
