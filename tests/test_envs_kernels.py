@@ -91,7 +91,7 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 1
-    kernels = tmp_path / "envs" / "kernels.py"
+    kernels = tmp_path / "envs" / "families" / "kernels.py"
     text = kernels.read_text()
     assert text.count("if action < 0 or") == 1
     kernels.write_text(text.replace("if action < 0 or", "if action == 1 or action < 0 or"))
@@ -99,6 +99,27 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     kernels.write_text(text)
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 2
+
+
+def test_only_an_edited_rule_is_compiled_again(tmp_path: Path) -> None:
+    """A battle's loop and its walking are in two files. The mechanics of runs have nothing to do with either."""
+    shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
+    caches = "from envs.families import lbf\nfrom envs.families.smaclite import rules\n"
+    caches += "print(lbf.step_all.stats.cache_path, rules.step_all.stats.cache_path)"
+
+    def folders_after_an_edit(name: str) -> list[str]:
+        with open(tmp_path / "envs" / name, "a") as file:
+            file.write("# edited\n")
+        home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
+        return run(caches, tmp_path, **home).split()
+
+    lbf, battles = folders_after_an_edit("runs/log.py")
+    for name in ("tasks.py", "vector.py", "adapters/foreign.py"):
+        assert folders_after_an_edit(name) == [lbf, battles]
+    lbf_again, battles_again = folders_after_an_edit("families/smaclite/walking.py")
+    assert lbf_again == lbf and battles_again != battles
+    lbf_again, battles = folders_after_an_edit("families/kernels.py")
+    assert lbf_again != lbf and battles != battles_again
 
 
 def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
@@ -119,7 +140,7 @@ def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
 def test_damaged_cache_files_are_replaced(tmp_path: Path) -> None:
     """As a power cut leaves them. An editor's lock file, which is a link to nowhere, does not matter either."""
     shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "envs" / ".#lbf.py").symlink_to("nobody@nowhere.1")
+    (tmp_path / "envs" / "families" / ".#lbf.py").symlink_to("nobody@nowhere.1")
     home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path / "cache")}
     assert run(STEP, tmp_path, **home) == "reward 7.0\n"
     for ending in ("nbi", "nbc"):

@@ -21,6 +21,7 @@ from lbforaging.foraging import ForagingEnv
 from numpy.typing import NDArray
 
 import envs
+from envs import tasks
 from envs.families import lbf
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("lbf-*.npz"))
@@ -76,6 +77,10 @@ def board(env: lbf.Env, e: int) -> NDArray[np.int64]:
 # ---------------------------------------------------------------------------------------------------------------------
 # The rules
 # ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_rules_try_as_many_places_as_names_allow_foods() -> None:
+    assert lbf.PLACES_TRIED == tasks.MOST_FOODS
 
 
 def test_all_seven_tasks_of_the_paper_are_recorded() -> None:
