@@ -1,0 +1,55 @@
+"""What every run needs of the file system, the terminal and the machine. It has nothing to do with learning.
+
+The scripts of algos/ call these in one line each, so that a reader of an algorithm need not read them:
+
+    flags        parse_flags
+    directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
+    replay       EpisodeFile
+    log          Log: progress bar, TensorBoard, progress.json
+    process      StopSignals, one_sentence
+"""
+
+from __future__ import annotations
+
+from envs.runs.directory import (
+    RunDirectory,
+    describe,
+    fitting_checkpoint,
+    is_whole,
+    last_checkpoint,
+    read_checkpoint,
+    safe_name,
+    write_whole,
+)
+from envs.runs.flags import OF_ONE_RUN, RANGES, changed_flags, check_flags, parse_flags, show_help
+from envs.runs.log import Log, in_words
+from envs.runs.process import StopSignals, Stopwatch, keep_freed_memory, one_sentence, open_streams, provenance, say, script_hash
+from envs.runs.replay import EpisodeFile
+
+__all__ = [
+    "EpisodeFile",
+    "Log",
+    "OF_ONE_RUN",
+    "RANGES",
+    "RunDirectory",
+    "StopSignals",
+    "Stopwatch",
+    "changed_flags",
+    "check_flags",
+    "describe",
+    "fitting_checkpoint",
+    "in_words",
+    "is_whole",
+    "keep_freed_memory",
+    "last_checkpoint",
+    "one_sentence",
+    "open_streams",
+    "parse_flags",
+    "provenance",
+    "read_checkpoint",
+    "safe_name",
+    "say",
+    "script_hash",
+    "show_help",
+    "write_whole",
+]

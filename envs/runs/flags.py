@@ -1,0 +1,154 @@
+"""The flags of a script: reading them, checking them, and what differs from the defaults."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import math
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import tyro
+
+from envs.runs.process import flush_stdout
+from envs.tasks import InputError
+
+Flags = TypeVar("Flags")  # the Args of a script
+
+# These say nothing of the setting
+OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
+MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
+NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
+
+
+class Range(NamedTuple):
+    """The values that a flag may have. Without `ends`, the two bounds themselves are not allowed."""
+
+    lowest: float
+    highest: float
+    ends: bool = True
+
+
+PROBABILITY = Range(0, 1)
+SIZE = Range(1, 100_000)
+COUNT = Range(1, 10**15)
+WEIGHT = Range(0, 10**18)
+RANGES = {
+    "seed": Range(0, 2**63 - 1),
+    "total_timesteps": COUNT,
+    "max_episode_steps": Range(0, 10**9),
+    "env_workers": Range(0, 10_000),
+    "hidden_dim": Range(1, 16_384),
+    "learning_rate": WEIGHT,
+    "gamma": PROBABILITY,
+    "n_step": COUNT,
+    "entropy_coef": WEIGHT,
+    "update_epochs": SIZE,
+    "clip_coef": Range(0, 1, ends=False),
+    "actor_regularisation": WEIGHT,
+    "epsilon_start": PROBABILITY,
+    "epsilon_end": PROBABILITY,
+    "epsilon_anneal": Range(0, 10**15),
+    "eval_epsilon": PROBABILITY,
+    "batch_size": SIZE,
+    "buffer_size": COUNT,
+    "max_grad_norm": Range(0, math.inf),  # inf: gradients are not clipped
+    "num_envs": SIZE,
+    "eval_points": Range(1, 10**6),
+    "eval_episodes": SIZE,
+    "threads": Range(1, 256),
+}
+
+
+def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: list[str], doc: str | None) -> Flags:
+    """Reads the command line into a script's Args.
+
+    defaults: makes the Args for a task and a kind of sharing. So these two flags are found first, in every spelling
+    that tyro accepts. doc: the script's docstring, which heads its help.
+    Raises InputError for a number out of range, and for a device that is not there.
+    """
+    others = [word for word in argv if word not in ("-h", "--help")]
+    default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
+    if len(others) < len(argv):
+        with contextlib.suppress(BrokenPipeError):
+            show_help(args_class, default, doc or "")
+        flush_stdout()
+        sys.exit()
+    args: Any = tyro.cli(args_class, args=argv, default=default)
+    check_flags(args)
+    if args.watch == "" and any(word.partition("=")[0] == "--watch" for word in argv):
+        raise InputError("--watch needs the directory of a run.")  # an unset variable of a shell, for example
+    if args.device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise InputError("--device cuda: PyTorch finds no CUDA device here.")
+    return args
+
+
+def as_flag(name: str, value: Any) -> str:
+    """A flag and its value as they are written on the command line."""
+    flag = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{flag}" if value else f"--no-{flag}"
+    return f"--{flag} {value}"
+
+
+def check_flags(args: Any) -> None:
+    """Raises InputError for the first flag of a script's Args whose number is out of range (see RANGES)."""
+    for name, value in vars(args).items():
+        allowed = RANGES.get(name)
+        if allowed is None:
+            continue
+        inside = allowed.lowest <= value <= allowed.highest
+        if not inside or (not allowed.ends and value in allowed[:2]):
+            low, high = allowed.lowest, allowed.highest
+            bounds = f"between {low:,} and {high:,}" if allowed.ends else f"above {low:,} and below {high:,}"
+            raise InputError(f"{as_flag(name, value)}: the value must lie {bounds}.")
+
+
+def changed_flags(args: Any, default: Any) -> dict[str, Any]:
+    """The flags of a setting that differ from the default. Task, sharing and seed are named elsewhere."""
+    named = OF_ONE_RUN | {"env", "parameter_sharing"}
+    return {name: value for name, value in vars(args).items() if name not in named and value != getattr(default, name)}
+
+
+def show_help(args_class: type, default: Any, description: str) -> None:
+    """Prints the flags of a script's Args in groups, wrapped to the terminal.
+
+    Each line `# title` in the class begins a group, and the comment behind a field is its help.
+    """
+    width = max(min(shutil.get_terminal_size().columns, 120) - 1, 20)
+    column = 30  # where the explanations begin
+    for paragraph in description.strip().split("\n\n"):
+        if paragraph.startswith("    "):  # formulas and commands keep their lines
+            print(paragraph, end="\n\n")
+        else:
+            print(textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False), end="\n\n")
+    for line in inspect.getsource(args_class).splitlines():
+        title = re.fullmatch(r" {4}# (.+)", line)
+        field = re.fullmatch(r" {4}(\w+): (.+?) = .+?  # (.+)", line)
+        if title:
+            print(f"\n{title[1]}:")
+        if field:
+            name, kind, text = field.groups()
+            flag = f"--{name.replace('_', '-')}"
+            if kind == "bool":
+                flag += f", --no-{name.replace('_', '-')}"
+            elif kind.startswith("Literal"):
+                flag += " {" + ",".join(re.findall(r'"(\w+)"', kind)) + "}"
+            else:
+                flag += {"int": " INTEGER", "float": " NUMBER", "str": " TEXT"}.get(kind, " VALUE")
+            value = getattr(default, name)
+            if value != "":
+                text += f" (default: {value})"
+            head = f"  {flag}".ljust(column)
+            if len(head) > column:  # the flag takes a line of its own
+                print(head)
+                head = " " * column
+            wrapper = textwrap.TextWrapper(max(width, column + 30), head, " " * column, break_on_hyphens=False)
+            print(wrapper.fill(text))

@@ -1,0 +1,117 @@
+"""What a run shows while it lasts: the progress bar, TensorBoard, progress.json."""
+
+from __future__ import annotations
+
+import json
+import math
+import secrets
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from tqdm import tqdm
+
+from envs import optional
+from envs.runs.directory import write_whole
+from envs.runs.process import say
+from envs.tasks import InputError
+
+PROGRESS_SECONDS = 2.0  # between two writes of progress.json
+
+
+def in_words(results: Mapping[str, float]) -> str:
+    """The results of an evaluation in one line."""
+    return ", ".join(f"{name} {value:.3f}" for name, value in results.items())
+
+
+class Log:
+    """The progress bar, TensorBoard's file, progress.json for whoever watches many runs, and Weights & Biases."""
+
+    def __init__(self, path: Path, args: Any, timestep: int, resumed: bool) -> None:
+        """path: of the run's directory. What TensorBoard's file says of steps after `timestep` is taken back."""
+        from torch.utils.tensorboard import SummaryWriter
+
+        if args.track:
+            wandb = optional("wandb")
+            if not (path / "wandb-id").exists():
+                write_whole(path / "wandb-id", f"{secrets.token_hex(8)}\n")
+            identity = (path / "wandb-id").read_text().strip()
+            try:
+                wandb.init(id=identity, name=str(path), config=vars(args), resume="allow", sync_tensorboard=True)
+            except wandb.errors.Error as error:  # nobody is logged in, for one
+                raise InputError(f"--track: {error}") from error
+        write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
+        self.path, self.total = path, args.total_timesteps
+        self.begun_at = self.timestep = timestep
+        self.started = self.shown = time.monotonic()
+        self.last_evaluation: float | None = None
+        self.returns: deque[float] = deque(maxlen=100)  # of the last training episodes
+        self.lengths: deque[float] = deque(maxlen=100)
+        threading.excepthook = show_error
+        self.writer = SummaryWriter(str(path), purge_step=timestep + 1 if resumed else None)
+        self.bar = tqdm(total=self.total, initial=timestep, unit=" steps", unit_scale=True, disable=None)
+        say(f"This run is kept in {path}")
+
+    def evaluation(self, timestep: int, results: Mapping[str, float]) -> None:
+        """Shows an evaluation."""
+        self.last_evaluation = results["return_mean"]
+        for name, value in results.items():
+            self.writer.add_scalar(f"evaluation/{name}", value, timestep)
+        say(f"step {timestep:,}: {in_words(results)}")
+
+    def batch(
+        self, timestep: int, returns: Sequence[float], lengths: Sequence[float], metrics: Mapping[str, Any]
+    ) -> None:
+        """Shows a batch of training episodes that ends at this timestep.
+
+        returns, lengths: of its episodes.
+        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. A loss that is not
+        finite ends the process.
+        """
+        figures = {name: value.item() for name, value in metrics.items()}
+        for name, value in figures.items():
+            if name.startswith("loss/") and not math.isfinite(value):
+                sys.exit(f"{name} is {value} at step {timestep:,}; the last checkpoint is kept.")
+        self.returns.extend(returns)
+        self.lengths.extend(lengths)
+        now = time.monotonic()
+        speed = (timestep - self.begun_at) / max(now - self.started, 1e-9)
+        recent = fmean(self.returns)
+        if now - self.shown >= PROGRESS_SECONDS:
+            self.shown = now
+            progress = {
+                "timestep": timestep,
+                "total_timesteps": self.total,
+                "steps_per_second": speed,
+                "training_return": recent,
+                "evaluation_return": self.last_evaluation,
+            }
+            write_whole(self.path / "progress.json", json.dumps(progress) + "\n")
+        said = "" if self.last_evaluation is None else f", evaluation {self.last_evaluation:.3f}"
+        self.bar.set_postfix_str(f"return {recent:.3f}{said}", refresh=False)
+        self.bar.update(timestep - self.timestep)
+        due = timestep * 1000 // self.total > self.timestep * 1000 // self.total
+        self.timestep = timestep
+        if due:
+            self.writer.add_scalar("training/return_mean", recent, timestep)
+            self.writer.add_scalar("training/episode_length", fmean(self.lengths), timestep)
+            self.writer.add_scalar("training/steps_per_second", speed, timestep)
+            for name, value in figures.items():
+                self.writer.add_scalar(name, value, timestep)
+
+    def close(self) -> None:
+        """Ends the progress bar and TensorBoard's file."""
+        self.bar.close()
+        self.writer.close()
+
+
+def show_error(failure: threading.ExceptHookArgs) -> None:
+    """Shows what went wrong in a thread, but not in TensorBoard's: it keeps an error, such as a full disk, for the next
+    call of its writer, and so the main thread ends with a sentence."""
+    if not type(failure.thread).__module__.startswith("tensorboard."):
+        threading.__excepthook__(failure)

@@ -1,0 +1,174 @@
+"""The process of a run and the machine: streams, signals, seconds, how it ends, where its results come from."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import importlib.metadata
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from envs import fast_mkl
+from envs.tasks import InputError
+
+
+def flush_stdout() -> None:
+    """Writes what is left of the output. A reader such as `head`, which has seen enough, is no failure."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
+
+
+def say(text: str) -> None:
+    """Writes a line to stderr, above a progress bar. A closed terminal, or a pipe that nobody reads, is no failure."""
+    try:
+        tqdm.write(text, file=sys.stderr)
+        sys.stderr.flush()
+    except OSError:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
+
+
+def open_streams() -> None:
+    """Gives a process that was started with closed output (`2>&-`) streams that lead nowhere."""
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+
+
+class Stopwatch:
+    """Wall and CPU seconds of a run, summed over its processes. A clock that is set anew does not disturb it."""
+
+    def __init__(self, wall_seconds: float = 0.0, cpu_seconds: float = 0.0) -> None:
+        """The seconds that earlier processes have spent on the run."""
+        self._wall_start = time.monotonic() - wall_seconds
+        self._cpu_start = time.process_time() - cpu_seconds
+
+    def seconds(self) -> dict[str, float]:
+        """The seconds spent so far."""
+        return {
+            "wall_seconds": time.monotonic() - self._wall_start,
+            "cpu_seconds": time.process_time() - self._cpu_start,
+        }
+
+
+class StopSignals:
+    """Notes Ctrl-C, SIGTERM and SIGHUP instead of dying at once, so that a run can save what it has.
+
+    The third Ctrl-C ends it at once, since an environment may hang. Its last checkpoints stay as they are.
+    """
+
+    advice = "the same command with --resume goes on"
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self.interrupts = 0
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            ignored = name == "SIGHUP" and number and signal.getsignal(number) is signal.SIG_IGN  # by `nohup`
+            if number is not None and not ignored:
+                signal.signal(number, self._note)
+
+    def _note(self, number: int, frame: Any) -> None:
+        self.received = number
+        self.interrupts += number == signal.SIGINT
+        if self.interrupts > 2:
+            raise KeyboardInterrupt
+
+    def exit(self, timestep: int) -> None:
+        """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""
+        say(f"Stopped at step {timestep:,}; {self.advice}.")
+        sys.exit(128 + (self.received or 0))
+
+
+@contextlib.contextmanager
+def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
+    """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
+
+    Such reasons are wrong input, a full disk or a lack of memory. Ctrl-C before a run can save anything ends with exit
+    code 130.
+    """
+    open_streams()
+    try:
+        yield
+        flush_stdout()
+    except (InputError, OSError, MemoryError) as error:
+        say(f"{Path(script).stem}: {str(error) or 'there is not enough memory.'}")
+        if isinstance(error, BrokenPipeError):
+            flush_stdout()
+        sys.exit(2)
+    except RuntimeError as error:
+        if not re.search("allocate memory|out of memory", str(error)):  # PyTorch's words, of a CPU or a GPU
+            raise
+        say(f"{Path(script).stem}: there is not enough memory.")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+
+
+def keep_freed_memory() -> None:
+    """Tells glibc to keep the memory that PyTorch's intermediate results leave.
+
+    They are 0.1 to 3 MB large. By default glibc gives so much back to the system, and fetches it again for the next
+    one. Where there is another C library nothing happens.
+    """
+    m_trim_threshold, m_mmap_threshold = -1, -3  # as in malloc.h
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # TypeError: Windows has no library without a name
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(m_mmap_threshold, 2**25)
+        mallopt(m_trim_threshold, 2**31 - 1)
+
+
+PACKAGES = ("torch", "numpy", "gymnasium", "numba")
+
+
+def script_hash(script: str | os.PathLike[str]) -> str:
+    """Names the text of a script."""
+    return hashlib.sha256(Path(script).read_bytes()).hexdigest()[:16]
+
+
+def provenance() -> dict[str, Any]:
+    """Where a result came from, in plain types: command, packages, commit, machine, MKL's fast kernels."""
+    return {
+        "command": sys.argv,
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "commit": _commit(),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "fast_mkl": fast_mkl.LOADED,
+    }
+
+
+def _commit() -> str | None:
+    """The checkout's commit, "-dirty" behind it where files were changed; None outside a checkout."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    if not Path(__file__).parents[2].joinpath(".git").exists():  # installed somewhere, perhaps in another checkout
+        return None
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def _processor() -> str:
+    """The processor's model; `platform` knows only its architecture on Linux."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor()
