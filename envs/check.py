@@ -5,31 +5,53 @@ python -m envs check <name>
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.vector import INFO_ARRAYS, VectorEnv
+from envs.tasks import InputError
+from envs.vector import INFO_ARRAYS, RESULTS, VectorEnv
 
 Make = Callable[[int, int, bool], VectorEnv]  # of num_envs, seed and copy
 Step = tuple[Any, ...]  # observations, rewards, terminated, truncated, info
+Masks = NDArray[np.bool_]  # [env, agent, action]
 
 EPISODES = 3
 
 
 def problems(make: Make) -> list[str]:
-    """Sentences about what breaks the contract, in the order of the checks; none if nothing does."""
+    """Sentences about what breaks the contract, in the order of the checks; none if nothing does.
+
+    Raises InputError for what cannot be built or played at all.
+    """
     found: list[str] = []
-    for check in (arrays, copies, ends, refusals, randomness, masked_resets):
-        for sentence in check(make):
-            if sentence not in found:
-                found.append(sentence)
+    for check in (arrays, copies, ends, randomness, refusals, masked_resets):
+        try:
+            for sentence in check(make):
+                if sentence not in found:
+                    found.append(sentence)
+        except InputError:
+            raise
+        except Exception as error:  # an assertion of the game, for example
+            found.append(failure(error, check.__doc__ or ""))
         if found:  # what is wrong there would only come up again, and confuse
             break
     return found
+
+
+def failure(error: Exception, topic: str) -> str:
+    """A sentence about an error of the environment's own, met while a topic was looked at."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    lines = f"{type(error).__name__}: {error}".split("\n")  # of a worker process: with its traceback in the middle
+    said = " ".join(dict.fromkeys((lines[0], lines[-1]))).rstrip(": .")
+    where = f"{Path(place.filename).name}, line {place.lineno}"
+    return f"The environment fails ({where}) with {said}. What was looked at: {topic[0].lower()}{topic[1:]}"
 
 
 def allowed_actions(mask: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
@@ -37,20 +59,23 @@ def allowed_actions(mask: NDArray[np.bool_], rng: np.random.Generator) -> NDArra
     return np.where(mask, rng.random(mask.shape), -1).argmax(axis=1)
 
 
-def play(env: VectorEnv, episode: int, seed: int | None = None, restart: int | None = None) -> list[Step]:
+def play(
+    env: VectorEnv,
+    episode: int,
+    seed: int | None = None,
+    before: Callable[[int, Masks], Masks] = lambda t, masks: masks,
+) -> list[Step]:
     """An episode of each sub-environment. A reset counts as a step without rewards and flags.
 
-    The actions of sub-environment i depend on (i, episode) alone. seed: of the reset. restart: before this step
-    sub-environment 1 is reset alone.
+    The actions of sub-environment i depend on (i, episode) alone. seed: of the reset. before: is called before step t,
+    from 0 on, with the action masks, and returns those to go on with.
     """
     generators = [np.random.default_rng([i, episode]) for i in range(env.num_envs)]
     observations, info = env.reset(seed=seed)
     no_flags = np.zeros(env.num_envs, np.bool_)
     steps: list[Step] = [(observations, no_flags.astype(np.float32), no_flags, no_flags, info)]
     for t in range(env.episode_limit):
-        masks = steps[-1][-1]["action_mask"]
-        if t == restart:
-            masks = env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})[1]["action_mask"]
+        masks = before(t, steps[-1][-1]["action_mask"])
         if not masks.any(axis=2).all():  # nobody can go on; `arrays` says so
             break
         steps.append(env.step(np.stack([allowed_actions(mask, rng) for mask, rng in zip(masks, generators)])))
@@ -59,10 +84,31 @@ def play(env: VectorEnv, episode: int, seed: int | None = None, restart: int | N
     return steps
 
 
-def differ(step: Step, other: Step, index: int) -> bool:
-    """Whether a sub-environment differs in any bit."""
-    values, others = ([*each[:4], *(each[4][name] for name in INFO_ARRAYS)] for each in (step, other))
-    return any(not np.array_equal(x[index], y[index]) for x, y in zip(values, others))
+def named(step: Step) -> dict[str, Any]:
+    """All arrays of a step by name; that of a statistic is `info['statistics'][its name]`."""
+    info = step[4]
+    statistics = {f"info['statistics'][{name!r}]": values for name, values in info["statistics"].items()}
+    return dict(zip(RESULTS, step)) | {name: info[name] for name in INFO_ARRAYS} | statistics
+
+
+def differences(step: Step, other: Step, index: int) -> list[str]:
+    """The names of the arrays in which a sub-environment differs in any bit.
+
+    Statistics count where an episode has ended; they may be NaN.
+    """
+    values, others = named(step), named(other)
+    ended = step[2][index] | step[3][index]
+    counted = [name for name in values if ended or "statistics" not in name]
+    return [
+        name
+        for name in counted
+        if not np.array_equal(values[name][index], others[name][index], equal_nan="statistics" in name)
+    ]
+
+
+def differ(steps: list[Step], others: list[Step], index: int) -> bool:
+    """Whether a sub-environment plays another episode."""
+    return any(differences(step, other, index) for step, other in zip(steps, others))
 
 
 def arrays(make: Make) -> Iterator[str]:
@@ -78,6 +124,7 @@ def arrays(make: Make) -> Iterator[str]:
         "state": ((n, env.state_size), np.float32),
         "action_mask": ((n, n_agents, env.n_actions), np.bool_),
     }
+    lacking = np.arange(env.n_actions) >= np.array(env.choices)[:, None]  # [agent, action]
     if len(env.teams) != n_agents or set(env.teams) != set(range(max(env.teams) + 1)):
         yield f"env.teams must number the team of each of the {n_agents} agents, from 0 on; it is {env.teams}."
     for step in (step for episode in range(EPISODES) for step in play(env, episode)):
@@ -86,7 +133,7 @@ def arrays(make: Make) -> Iterator[str]:
         if missing:
             yield f"The info lacks {', '.join(sorted(missing))}."
             return
-        found = dict(zip(expected, (*step[:4], *(info[name] for name in INFO_ARRAYS))))
+        found = named(step)
         for name, (shape, kind) in expected.items():
             if found[name].shape != shape or found[name].dtype != kind:
                 has = f"{found[name].dtype} {found[name].shape}"
@@ -100,9 +147,12 @@ def arrays(make: Make) -> Iterator[str]:
             yield "A sub-environment is terminated and truncated at once; an end must be one of the two."
         if not found["action_mask"].any(axis=2).all():
             yield "The action mask forbids an agent all actions; one at least must be allowed."
+        if (found["action_mask"] & lacking).any():
+            yield f"The action mask allows an agent actions that it does not have: env.choices is {env.choices}."
         for name, values in info["statistics"].items():
-            if np.shape(values) != (n,):
-                yield f"info['statistics'][{name!r}] must have the shape {(n,)}; it has {np.shape(values)}."
+            if not isinstance(values, np.ndarray) or values.shape != (n,):
+                has = f"{type(values).__name__} {np.shape(values)}"
+                yield f"info['statistics'][{name!r}] must be an array of the shape {(n,)}; it is {has}."
 
 
 def ends(make: Make) -> Iterator[str]:
@@ -118,42 +168,12 @@ def ends(make: Make) -> Iterator[str]:
             for index in np.flatnonzero(before[2] | before[3]):
                 if after[1][index] or after[4]["agent_rewards"][index].any():
                     yield "A sub-environment that has finished still earns rewards."
-                if after[2][index] != before[2][index] or after[3][index] != before[3][index]:
+                changed = set(differences(before, after, index)) - {"rewards", "agent_rewards"}
+                if changed & {"terminated", "truncated"}:
                     yield "A sub-environment that has finished does not keep its flag up."
-                if not np.array_equal(after[0][index], before[0][index]):
-                    yield "A sub-environment that has finished goes on; it must stand still until a reset."
-
-
-def refusals(make: Make) -> Iterator[str]:
-    """Actions that do not exist or are forbidden."""
-    env = make(2, 0, True)
-    last = env.n_agents - 1
-    wrong = {"an action that does not exist": (1, last, env.n_actions), "an action below 0": (0, 0, -1)}
-    rng = np.random.default_rng(0)
-    for kind in (*wrong, "an action that the mask forbids"):
-        observations, info = env.reset()
-        mask = info["action_mask"]
-        actions = np.stack([allowed_actions(each, rng) for each in mask])
-        for _ in range(env.episode_limit - 1):
-            if kind in wrong or not mask.all():
-                break
-            observations, _, _, _, info = env.step(actions)
-            mask = info["action_mask"]
-            actions = np.stack([allowed_actions(each, rng) for each in mask])
-        if kind not in wrong and mask.all():
-            continue
-        index, agent, action = wrong.get(kind) or np.argwhere(~mask)[0].tolist()
-        actions[index, agent] = action
-        try:
-            env.step(actions)
-        except ValueError as error:
-            if not all(str(number) in str(error) for number in (index, agent, action)):
-                yield f"The error for {kind} must name sub-environment, agent and action; it says: {error}"
-        else:
-            yield f"A step with {kind} must raise ValueError."
-            continue
-        if not np.array_equal(env.observations, observations):
-            yield f"A step with {kind} changes the environment before it raises ValueError."
+                elif changed:
+                    names = ", ".join(sorted(changed))
+                    yield f"A sub-environment that has finished goes on ({names}); it must stand still until a reset."
 
 
 def randomness(make: Make) -> Iterator[str]:
@@ -162,20 +182,66 @@ def randomness(make: Make) -> Iterator[str]:
     later.episode = EPISODES - 1
     for episode in range(EPISODES):
         steps = play(env, episode)
-        if any(differ(step, other, i) for step, other in zip(steps, play(again, episode)) for i in range(3)):
+        repeated = play(again, episode)
+        if any(differ(steps, repeated, i) for i in range(3)):
             yield "The same seed does not play the same episodes: runs cannot be repeated, nor resumed exactly."
             return
-        if any(differ(step, other, 0) for step, other in zip(steps, play(alone, episode))):
+        if differ(steps, play(alone, episode), 0):
             yield "Sub-environment 0 plays something else when there are others beside it."
-    seeded = play(make(3, 0, True), 0, seed=7)
-    if any(differ(step, other, i) for step, other in zip(play(make(3, 7, True), 0), seeded) for i in range(3)):
+    made, seeded = play(make(3, 7, True), 0), play(make(3, 0, True), 0, seed=7)
+    if any(differ(made, seeded, i) for i in range(3)):
         yield "reset(seed=7) does not begin the episodes of an environment that was made with seed 7."
-    if any(differ(step, other, i) for step, other in zip(steps, play(later, EPISODES - 1)) for i in range(3)):
-        last = EPISODES - 1
+    last = EPISODES - 1
+    skipped = play(later, last)
+    if any(differ(steps, skipped, i) for i in range(3)):
         yield (
             f"Episode {last} is another one if those before it were not played (env.episode = {last}, then a reset). "
             "So it does not depend on the seed alone, and a resumed run would differ."
         )
+
+
+def refusals(make: Make) -> Iterator[str]:
+    """Actions that do not exist or are forbidden."""
+    whole = play(make(2, 0, True), 0)
+    n_agents, n_actions = whole[0][4]["action_mask"].shape[1:]
+    wrong = {  # before which step, and of which sub-environment and agent
+        "an action that does not exist": (0, 1, n_agents - 1, n_actions),
+        "an action below 0": (0, 0, 0, -1),
+    }
+    forbidden = ((t, *place) for t, step in enumerate(whole[:-1]) for place in np.argwhere(~step[4]["action_mask"]))
+    for t, index, agent, action in forbidden:
+        wrong["an action that the mask forbids"] = (t, int(index), int(agent), int(action))
+        break
+    for kind, place in wrong.items():
+        env, errors = make(2, 0, True), list[str]()
+        again = play(env, 0, before=partial(attempt, env, place, errors))
+        if not errors:
+            yield f"A step with {kind} must raise ValueError."
+            continue
+        if not all(str(number) in errors[0] for number in place[1:]):
+            yield f"The error for {kind} must name sub-environment, agent and action; it says: {errors[0]}"
+        if errors[1:] or any(differ(whole, again, index) for index in range(2)):
+            what = ", ".join(errors[1:]) or "what its next steps show"
+            yield f"A step with {kind} changes the environment before it raises ValueError ({what})."
+
+
+def attempt(env: VectorEnv, place: tuple[int, int, int, int], errors: list[str], t: int, masks: Masks) -> Masks:
+    """Before one step of an episode, tries an action that must be refused.
+
+    place: step, sub-environment, agent and action. errors: gets the error's text, and then the names of the arrays
+    that the attempt has changed. See `play` for the others.
+    """
+    when, index, agent, action = place
+    if t == when:
+        actions = masks.argmax(axis=2)
+        actions[index, agent] = action
+        before = [(name, getattr(env, name).copy()) for name in (*RESULTS, *INFO_ARRAYS)]
+        try:
+            env.step(actions)
+        except ValueError as error:
+            errors.append(str(error))
+            errors += [name for name, values in before if not np.array_equal(values, getattr(env, name))]
+    return masks
 
 
 def masked_resets(make: Make) -> Iterator[str]:
@@ -184,21 +250,31 @@ def masked_resets(make: Make) -> Iterator[str]:
     before = play(env, 0)[-1]
     observations, info = env.reset(options={"reset_mask": np.array([False, True, False])})
     after = (observations, env.rewards, env.terminated, env.truncated, info)
-    if differ(before, after, 0) or differ(before, after, 2):
+    if differences(before, after, 0) or differences(before, after, 2):
         yield "A reset with options['reset_mask'] changes sub-environments that the mask does not name."
     if env.terminated[1] or env.truncated[1]:
         yield "A reset with options['reset_mask'] does not take down the flag of a sub-environment that it names."
     whole = play(make(3, 0, True), 0)
     ended = [next(t for t, step in enumerate(whole) if step[2][i] | step[3][i]) for i in (0, 2)]
-    again = play(make(3, 0, True), 0, restart=min(ended) // 2)
-    if any(differ(step, other, i) for step, other in zip(whole, again) for i in (0, 2)):
+    env = make(3, 0, True)
+    again = play(env, 0, before=partial(restart, env, min(ended) // 2))
+    if differ(whole, again, 0) or differ(whole, again, 2):
         yield "A reset with options['reset_mask'] in the middle changes sub-environments that the mask does not name."
+
+
+def restart(env: VectorEnv, when: int, t: int, masks: Masks) -> Masks:
+    """Before step `when` of an episode, resets sub-environment 1 alone. See `play` for the others."""
+    if t != when:
+        return masks
+    return env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})[1]["action_mask"]  # type: ignore[no-any-return]
 
 
 def copies(make: Make) -> Iterator[str]:
     """With copy=True the caller may keep what it got; with copy=False it gets the same arrays each time."""
-    kept, shared = play(make(2, 0, True), 0), make(2, 0, False)
-    if any(np.shares_memory(kept[0][0], step[0]) for step in kept[1:]):
-        yield "With copy=True, a step writes into the arrays that an earlier one returned."
+    env, shared = make(2, 0, True), make(2, 0, False)
+    kept = [named(step) for episode in range(2) for step in play(env, episode)]
+    for name in kept[0]:
+        if len({step[name].__array_interface__["data"][0] for step in kept}) < len(kept):
+            yield f"With copy=True, a step writes into the arrays that an earlier one returned ({name})."
     if play(shared, 0)[-1][0] is not shared.observations:
         yield "With copy=False, a step must return the environment's own arrays."

@@ -257,6 +257,105 @@ class OtherArrays(Meeting):
         return refused
 
 
+class AllowsTooMuch(Meeting):
+    """Agent 1 has two of the three actions."""
+
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.choices = (3, 2)
+
+
+class RewardsFirst(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        self.rewards[:] = 1
+        return super().step_envs(actions, playing)
+
+
+class CountsFirst(Meeting):
+    """The clock goes on, which is seen at the end of the episode only."""
+
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        self.steps += forbidden_action(actions, self.action_mask) >= 0
+        return super().step_envs(actions, playing)
+
+
+class ChangesMaskLater(Meeting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        refused = super().step_envs(actions, playing)
+        self.action_mask[~playing, :, 0] ^= refused < 0
+        return refused
+
+
+class Counting(Meeting):
+    """With a statistic."""
+
+    def __init__(self, num_envs: int, seed: int, copy: bool) -> None:
+        super().__init__(num_envs, seed, copy)
+        self.statistics["steps"] = np.zeros(num_envs, np.float32)
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        super().reset_env(e, rng)
+        self.statistics["steps"][e] = 0
+
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.statistics["steps"][e] += 1
+
+
+class CountsOn(Counting):
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        refused = super().step_envs(actions, playing)
+        self.statistics["steps"][~playing] += refused < 0
+        return refused
+
+
+class GuessesStatistics(Counting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.statistics["steps"][e] = np.random.default_rng().random()
+
+
+class LiveStep(Meeting):
+    """What `reset` returns is a copy, what `step` returns is not."""
+
+    def step(self, actions: Any) -> Any:
+        return (self.observations, *super().step(actions)[1:])
+
+
+class LiveInfo(Meeting):
+    def _outcome(self) -> Any:
+        *arrays, info = super()._outcome()
+        return (*arrays, info | {"action_mask": self.action_mask})
+
+
+class LiveStatistics(Counting):
+    def _outcome(self) -> Any:
+        *arrays, info = super()._outcome()
+        return (*arrays, info | {"statistics": self.statistics})
+
+
+class Asserts(Meeting):
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        assert self.steps[e] < 3, "nobody plays so long"
+        super().step_env(e, actions, rng)
+
+
+class LooksUpFirst(Meeting):
+    """An action that does not exist ends in an error of NumPy."""
+
+    def step_envs(self, actions: Any, playing: Any) -> int:
+        meeting_numpy.MOVES[actions]
+        return super().step_envs(actions, playing)
+
+
+class UnknownStatistic(Counting):
+    """Nothing is wrong: a statistic may be no number."""
+
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        super().step_env(e, actions, rng)
+        self.statistics["steps"][e] = np.nan
+
+
 class ChangingMask(Meeting):
     """Nothing is wrong: what is forbidden depends on the episode."""
 
@@ -266,8 +365,9 @@ class ChangingMask(Meeting):
         self.action_mask[e, :, 1] = rng.random() < 0.5
 
 
-def test_a_mask_that_depends_on_the_episode() -> None:
-    assert problems(ChangingMask) == []
+@pytest.mark.parametrize("right", [ChangingMask, Counting, UnknownStatistic])
+def test_what_looks_wrong_and_is_not(right: type[VectorEnv]) -> None:
+    assert problems(right) == []
 
 
 @pytest.mark.parametrize("copy", [True, False])
@@ -292,7 +392,7 @@ CELLS = meeting_numpy.CELLS
         (NoAction, "The action mask forbids an agent all actions"),
         (NumberedTeams, "env.teams must number the team of each of the 2 agents"),
         (OtherType, "agent_rewards must be float32 (3, 2); the environment has float64 (3, 2)."),
-        (OddStatistics, "info['statistics']['steps'] must have the shape (3,); it has (3, 1)."),
+        (OddStatistics, "info['statistics']['steps'] must be an array of the shape (3,); it is ndarray (3, 1)."),
         (NeverEnds, "An episode goes on after env.episode_limit = 20 steps"),
         (MovesOn, "A sub-environment that has finished goes on"),
         (LowersFlags, "does not keep its flag up"),
@@ -313,7 +413,18 @@ CELLS = meeting_numpy.CELLS
         (OneGenerator, "Sub-environment 0 plays something else when there are others beside it."),
         (CountsItself, "Episode 2 is another one if those before it were not played"),
         (ResetsAll, "changes sub-environments that the mask does not name"),
-        (NoCopies, "With copy=True, a step writes into the arrays"),
+        (NoCopies, "With copy=True, a step writes into the arrays that an earlier one returned (observations)."),
+        (LiveStep, "a step writes into the arrays that an earlier one returned (observations)."),
+        (LiveInfo, "a step writes into the arrays that an earlier one returned (action_mask)."),
+        (LiveStatistics, "an earlier one returned (info['statistics']['steps'])."),
+        (AllowsTooMuch, "allows an agent actions that it does not have: env.choices is (3, 2)."),
+        (RewardsFirst, "does not exist changes the environment before it raises ValueError (rewards)."),
+        (CountsFirst, "changes the environment before it raises ValueError (what its next steps show)."),
+        (ChangesMaskLater, "A sub-environment that has finished goes on (action_mask)"),
+        (CountsOn, "A sub-environment that has finished goes on (info['statistics']['steps'])"),
+        (GuessesStatistics, "The same seed does not play the same episodes"),
+        (Asserts, ") with AssertionError: nobody plays so long"),
+        (LooksUpFirst, "with IndexError: index 3 is out of bounds"),
     ],
 )
 def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
