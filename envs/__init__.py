@@ -112,6 +112,7 @@ def make(
         env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options, **given)
     except MemoryError:
         raise too_large from None
+    env.checks_numbers |= name.startswith("own:")
     return env
 
 

@@ -57,6 +57,12 @@ RESULTS = ("observations", "rewards", "terminated", "truncated")
 TAKEN = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length", "seed"}
 TAKEN |= {"task", "family", "algorithm", "sharing", "setting", "total_timesteps", "paper_timesteps"}
 INFO_ARRAYS = ("agent_rewards", "state", "action_mask")  # of the info, besides the statistics
+NUMBERS = {  # arrays of numbers, and what one of them is
+    "observations": "an observation",
+    "rewards": "a reward",
+    "agent_rewards": "an agent's reward",
+    "state": "a state",
+}
 
 
 def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
@@ -105,6 +111,7 @@ class VectorEnv(GymnasiumVectorEnv):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 (typed like this by Gymnasium)
     can_draw = False
+    checks_numbers = False  # whether what is not a finite number is an error; so for all environments but our own
 
     def __init__(
         self,
@@ -163,6 +170,8 @@ class VectorEnv(GymnasiumVectorEnv):
         self._episodes = np.zeros(num_envs, np.int64)  # episodes begun, per sub-environment
         self._shape = (num_envs, n_agents)
         self._begun = np.zeros(num_envs, np.bool_)
+        self._clock = 0  # steps made so far
+        self._began = np.zeros(num_envs, np.int64)  # the clock when the episode began, per sub-environment
         self._ready = False
         self._playing = np.ones(num_envs, np.bool_)  # those that have not finished
         self._some_stand = False
@@ -182,6 +191,7 @@ class VectorEnv(GymnasiumVectorEnv):
         }
         self._returned = (self.observations, self.rewards, self.terminated, self.truncated)
         self._held = {name: getattr(self, name) for name in (*RESULTS, *INFO_ARRAYS)}
+        self._zeros: dict[str, NDArray[np.float32]] = {}
 
     def __setstate__(self, attributes: dict[str, Any]) -> None:
         """Build the views again: copy.deepcopy and pickle turn a view of an array into a separate array."""
@@ -264,6 +274,9 @@ class VectorEnv(GymnasiumVectorEnv):
         self.terminated[mask] = False
         self.truncated[mask] = False
         self.reset_envs(mask, self._seed, self._episodes)
+        self._began[mask] = self._clock
+        if self.checks_numbers:
+            self._check_numbers()
         self._look_at_flags()
         self._episodes[mask] += 1
         if not self._ready:
@@ -292,9 +305,12 @@ class VectorEnv(GymnasiumVectorEnv):
         refused = self.step_envs(actions, self._playing)
         if refused >= 0:
             raise self._refusal(actions, refused)
+        self._clock += 1
         if self._some_stand:
             self.rewards[~self._playing] = 0
             self.agent_rewards[~self._playing] = 0
+        if self.checks_numbers:
+            self._check_numbers()
         self._look_at_flags()
         return self._outcome()
 
@@ -306,6 +322,21 @@ class VectorEnv(GymnasiumVectorEnv):
             self._flags = flags
             self._playing = ~(self.terminated | self.truncated)
             self._some_stand = not self._playing.all()
+
+    @np.errstate(invalid="ignore")
+    def _check_numbers(self) -> None:
+        """Raises InputError where a sub-environment has written something that is not a finite number."""
+        if not self._zeros:
+            names = [name for name in NUMBERS if name != "state" or not self.state_is_observations]
+            self._zeros = {name: np.zeros(self._held[name].size, np.float32) for name in names}
+        for name, zeros in self._zeros.items():
+            # Much faster than isfinite: 0 times NaN or infinity is NaN
+            if self._held[name].reshape(-1).dot(zeros) != 0:
+                e = np.argwhere(~np.isfinite(self._held[name]))[0][0]
+                raise InputError(
+                    f"{self.name}: sub-environment {e} gives {NUMBERS[name]} that is not a finite number, in step "
+                    f"{self._clock - self._began[e]} of its episode; python -m envs check looks for such faults."
+                )
 
     def _check_arrays(self) -> None:
         """Raises InputError where a family has put another array in the place of one that callers hold."""

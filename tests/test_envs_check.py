@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -452,6 +453,19 @@ def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
 def test_the_program(flags: list[str], code: int, says: str) -> None:
     done = subprocess.run([sys.executable, "-m", "envs", "check", *flags], capture_output=True, text=True)
     assert done.returncode == code and says in done.stdout + done.stderr, done.stderr
+
+
+def test_what_an_adapter_finds_while_it_plays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is a finding like others; only what cannot be built is an error."""
+    (tmp_path / "toy_odd_too.py").write_text("from toys import Odd as parallel_env\n")
+    monkeypatch.chdir(tmp_path)
+
+    def make(num_envs: int, seed: int, copy: bool, kind: str = "blind") -> VectorEnv:
+        return envs.make("pettingzoo:toy_odd_too", num_envs, seed, copy, env_kwargs={"kind": kind})
+
+    assert problems(make) == ["pettingzoo:toy_odd_too: the agents ['b'] play on without an observation."]
+    with pytest.raises(envs.InputError, match="need discrete ones"):
+        problems(lambda *args: make(*args, kind="continuous"))
 
 
 # ---------------------------------------------------------------------------------------------------------------------

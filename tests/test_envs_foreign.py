@@ -340,7 +340,11 @@ if __name__ == "__main__":
         ("gymnasium:Pendulum-v1", {}, "these algorithms need discrete ones"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='continuous'"}, "these algorithms need discrete ones"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='nobody'"}, "has no agents"),
-        ("pettingzoo:toy_odd", {"env_kwargs": "kind='image'"}, r"\(4, 4\) as observations; --flatten-images"),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='image'"},
+            r"observations of the shape \(4, 4\), not vectors; --flatten",
+        ),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='sequence'"}, "observations without a fixed size"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='no limit'"}, "says nowhere how long .*; --max-episode-steps does"),
         ("pettingzoo:toy_odd", {"env_kwargs": "sort='image'"}, "unexpected keyword argument 'sort'"),
@@ -394,6 +398,11 @@ def test_what_is_not_one_thing_for_each_agent(variant: str) -> None:
         ("state fails", "its function state fails: ValueError: need at least one array"),
         ("blind", r"the agents \['b'\] play on without an observation"),
         ("two rewards", r"\[1, 2\] is no reward"),
+        ("unpaid", r"the agents \['b'\] have acted and get no reward"),
+        (
+            "no number as a reward",
+            "sub-environment 0 gives a reward that is not a finite number, in step 1 of its epis",
+        ),
     ],
 )
 def test_what_goes_wrong_in_a_step(kind: str, message: str) -> None:
@@ -401,6 +410,18 @@ def test_what_goes_wrong_in_a_step(kind: str, message: str) -> None:
     env.reset()
     with pytest.raises(envs.InputError, match=message):
         env.step([[0, 0, 0]])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_observation_that_is_not_a_number(workers: int) -> None:
+    """It is found before anybody learns from it, in the one sub-environment that has got so far."""
+    env = envs.make("pettingzoo:toy_odd", 3, env_kwargs={"kind": "no number"}, env_workers=workers)
+    env.reset()
+    env.step([[0, 0, 0]] * 3)
+    env.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(envs.InputError, match=r"sub-environment 1 gives an observation that is not .* in step 2 of"):
+        env.step([[0, 0, 0]] * 3)
+    env.close()
 
 
 @pytest.mark.parametrize("kind", ["rewards in arrays", "no infos"])

@@ -6,6 +6,7 @@ import copy
 import pickle
 import textwrap
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
+from scripts import ROOT
 
 import envs
 from envs.families import kernels
-from envs.vector import VectorEnv, episode_generator, episode_seed, forbidden_action
+from envs.vector import NUMBERS, VectorEnv, episode_generator, episode_seed, forbidden_action
 
 TASKS = ("matrix-climbing", "lbf-6x6-2p-2f", "lbf-7x9-3p-2f-2s-c-v3", "rware-tiny-3p-2s-easy")
 
@@ -538,6 +540,53 @@ def test_forbidden_actions() -> None:
     assert env.state.tolist() == [[1]] * 3
     env.step([[0, 0]] * 3)
     env.step([[0, 2]] * 3)
+
+
+@pytest.mark.parametrize("copy", [True, False])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_what_is_not_a_number_is_named(name: str, copy: bool) -> None:
+    """At once, and in no other step: also after an episode that was not played to its end."""
+
+    class Faulty(Counting):
+        checks_numbers = True
+        value, steps_made = 0.0, 0
+
+        def step_envs(self, actions: NDArray[np.int64], playing: NDArray[np.bool_]) -> int:
+            refused = super().step_envs(actions, playing)
+            if self.steps_made == 5:
+                getattr(self, name)[1] = self.value
+            self.steps_made += 1
+            return refused
+
+    for value in (np.nan, np.inf, -np.inf, 3e38):
+        env = Faulty(copy=copy)
+        env.value = value
+        for steps in (3, 2):
+            env.reset()
+            for _ in range(steps):
+                env.step(np.zeros((3, 2), int))
+        env.reset(options={"reset_mask": np.array([True, False, True])})
+        if np.isfinite(value):
+            env.step(np.zeros((3, 2), int))
+            continue
+        message = f"counting: sub-environment 1 gives {NUMBERS[name]} that is not a finite number, in step 3 of"
+        with pytest.raises(envs.InputError, match=message):
+            env.step(np.zeros((3, 2), int))
+
+
+def test_the_numbers_of_an_own_environment_are_looked_at(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """And a copy of it looks as well; the time goes to others' environments alone."""
+    (tmp_path / "own_faulty.py").write_text(
+        "import examples.meeting_numpy as m\n\nclass Env(m.Env):\n    def reset_env(self, e, rng):\n"
+        "        super().reset_env(e, rng)\n        self.observations[e] = float('nan') if self.seed == 1 else 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(ROOT)
+    for env in (envs.make("own:own_faulty"), copy.deepcopy(envs.make("own:own_faulty"))):
+        env.reset()
+        with pytest.raises(envs.InputError, match=r"own:own_faulty: sub-environment 0 gives an obs.* in step 0 of"):
+            env.reset(seed=1)
+    assert not any(envs.make(name).checks_numbers for name in TASKS)
 
 
 def test_a_family_without_pictures() -> None:

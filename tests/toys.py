@@ -163,6 +163,10 @@ class Odd(Queue):
             rewards = {agent: np.array([reward]) for agent, reward in rewards.items()}
         if self.kind == "two rewards":
             rewards["b"] = [1, 2]
+        if self.kind == "unpaid":
+            del rewards["b"]
+        if self.kind == "no number as a reward":
+            rewards["c"] = None
         return seen, rewards, *others, infos
 
     def seen(self) -> dict[str, Any]:
@@ -170,6 +174,8 @@ class Odd(Queue):
         if "b" in seen:
             kinds = {"half": seen["b"] + 0.5, "short": seen["b"][:1], "goal": {"observation": seen["b"], "goal": [8]}}
             seen["b"] = kinds.get(self.kind, seen["b"])
+        if self.kind == "no number" and self.steps == 2:
+            seen["c"] = np.array([np.nan, 2])
         return seen
 
     def render(self) -> Any:

@@ -164,8 +164,8 @@ class Game:
             space = parts["observation"] if list(parts) == ["observation"] else spaces.Dict(parts)
         images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and len(part.shape) > 1]
         if images and not self.flatten_images:
-            what = f"images of the shape {images[0]}"
-            raise InputError(f"{self.name} has {what} as observations; --flatten-images makes vectors of them.")
+            what = f"observations of the shape {images[0]}, not vectors"
+            raise InputError(f"{self.name} has {what}; --flatten-images makes vectors of them.")
         return space
 
     def outcome(
@@ -376,6 +376,8 @@ class ParallelGame(Game):
             self.check_clock()
             ended = timed_out = True
         present = acted if ended else self.playing  # those who acted last see what it led to
+        if unpaid := acted - set(rewards):
+            raise InputError(f"{self.name}: the agents {sorted(map(str, unpaid))} have acted and get no reward.")
         seen = [observations.get(agent) if agent in present else None for agent in self.agents]
         own = [self.number(rewards.get(agent, 0)) for agent in self.agents]
         reward = self.sum_over_team(own)
@@ -506,6 +508,8 @@ INTERFACES: dict[str, type[Game]] = {"pettingzoo": ParallelGame, "gymnasium": Tu
 
 class Env(vector.VectorEnv):
     """An environment that is not ours; see the module's docstring."""
+
+    checks_numbers = True
 
     def __init__(
         self,
