@@ -311,22 +311,34 @@ if __name__ == "__main__":
     assert done.stdout == "2\n", done.stderr
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timers")
-def test_a_program_ends_while_a_worker_hangs() -> None:
-    """Without `close`, as after the third Ctrl-C. Two games are closed by the worker, one told its sizes before."""
-    play = """
-import signal, sys, envs
+HANGS = """
+import os, signal, sys, envs
 if __name__ == "__main__":
-    env = envs.make("pettingzoo:toy_broken", 2, env_kwargs={"how": "hangs"}, env_workers=1)
+    env = envs.make("pettingzoo:toy_broken", 2, env_kwargs={"how": HOW}, env_workers=1)
     env.reset()
     env.step([[0, 0, 0]] * 2)
-    signal.signal(signal.SIGALRM, lambda *_: sys.exit(7))
+    signal.signal(signal.SIGALRM, lambda *_: END)
     signal.alarm(1)
     env.step([[0, 0, 0]] * 2)
 """
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timers")
+@pytest.mark.parametrize(
+    ("how", "end", "code", "closed"),
+    [
+        ("hangs", "sys.exit(7)", 7, 3),  # the worker closes two games, one told its sizes before
+        ("hangs and is deaf", "sys.exit(7)", 7, 1),
+        ("hangs", "os.kill(os.getpid(), signal.SIGKILL)", -9, 1),
+    ],
+)
+def test_a_worker_that_hangs_ends_with_its_program(how: str, end: str, code: int, closed: int) -> None:
+    """Without `close`, as after the third Ctrl-C."""
+    play = HANGS.replace("HOW", repr(how)).replace("END", end)
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    # The worker's output is the program's: this waits for both.
     done = subprocess.run([sys.executable, "-c", play], capture_output=True, text=True, env=paths, timeout=60)
-    assert (done.returncode, done.stdout) == (7, "closed\n" * 3), done.stderr
+    assert (done.returncode, done.stdout) == (code, "closed\n" * closed), done.stderr
 
 
 # ---------------------------------------------------------------------------------------------------------------------

@@ -101,7 +101,9 @@ class Broken(Queue):
             raise ZeroDivisionError("the toy is broken")
         if self.steps == 1 and self.how == "killed":
             os.kill(os.getpid(), signal.SIGKILL)
-        if self.steps == 1 and self.how == "hangs":
+        if self.steps == 1 and self.how.startswith("hangs"):
+            if self.how == "hangs and is deaf":  # as in a call of a library in C
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
             time.sleep(600)
         if self.steps == 1 and self.how == "one is slow":
             if self.seed % 2 == 0:

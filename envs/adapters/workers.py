@@ -8,6 +8,8 @@ import os
 import select
 import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker, util
@@ -18,6 +20,9 @@ from typing import Any
 import numpy as np
 
 from envs.tasks import InputError
+
+HANGS = 2.0  # seconds after which a game that does not return is no longer waited for, but told to close
+PATIENCE = 8.0  # seconds that it then has to close
 
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -39,10 +44,23 @@ def ignore_stops(connection: Connection) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
 
 
-def end(connections: list[Connection]) -> None:
-    """Tells workers that nobody needs their games any more."""
+def follow(parent: Any) -> None:
+    """Ends this process some seconds after its parent, where a game that hangs keeps it from ending by itself."""
+    parent.join()
+    time.sleep(PATIENCE)
+    os._exit(1)
+
+
+def end(connections: list[Connection], workers: list[Any]) -> None:
+    """Tells workers that nobody needs their games any more, and ends those whose games do not let them."""
     for connection in connections:
         connection.close()
+    for stop, seconds in (("terminate", HANGS), ("kill", PATIENCE)):
+        begun = time.monotonic()
+        for worker in workers:
+            worker.join(max(begun + seconds - time.monotonic(), 0))
+            if worker.is_alive():
+                getattr(worker, stop)()
 
 
 def read(connection: Connection) -> Any:
@@ -66,6 +84,7 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
     before the process ends, an InputError, or the text of another error's traceback.
     """
     ignore_stops(connection)
+    threading.Thread(target=follow, args=(multiprocessing.parent_process(),), daemon=True).start()
     games = []
     try:
         for _ in range(n_games):
@@ -78,6 +97,7 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
     except Exception:
         write(connection, traceback.format_exc())
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the games are being closed
         for game in games:
             game.close()
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -125,7 +145,7 @@ class Games:
             self._here = [build() for _ in range(n_games)]
             return
         # A program that ends without `close` says so to the workers before it waits for them.
-        util.Finalize(self, end, [self._connections], exitpriority=0)
+        util.Finalize(self, end, [self._connections, self._workers], exitpriority=0)
         context = multiprocessing.get_context("spawn")
         for worker, block in enumerate(np.array_split(np.arange(n_games), min(n_workers, n_games))):
             self._place += [(worker, i) for i in range(len(block))]
@@ -156,7 +176,7 @@ class Games:
                 write(self._connections[worker], (method, request))
             answers = {worker: iter(self._answer(worker)) for worker in requests}
         except BaseException:  # interrupted: an answer that is still to come would be taken for that to the next call
-            end(self._connections)
+            end(self._connections, self._workers)
             raise
         return [next(answers[self._place[game][0]]) for game in arguments]
 
@@ -164,10 +184,7 @@ class Games:
         """End the games and their processes."""
         for game in self._here:
             game.close()
-        end(self._connections)
-        for process in self._workers:
-            process.join(10)
-            process.terminate()
+        end(self._connections, self._workers)
 
     def _answer(self, worker: int) -> list[Any]:
         answer = read(self._connections[worker])
