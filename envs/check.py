@@ -166,7 +166,7 @@ def ends(make: Make) -> Iterator[str]:
             yield f"An episode goes on after {limit}; the last one must truncate it."
             return
         for before, after in pairwise(steps):
-            for index in np.flatnonzero(before[2] | before[3]):
+            for index in np.flatnonzero(before[2] | before[3]).tolist():
                 if after[1][index] or after[4]["agent_rewards"][index].any():
                     yield "A sub-environment that has finished still earns rewards."
                 changed = set(differences(before, after, index)) - {"rewards", "agent_rewards"}
@@ -267,7 +267,9 @@ def restart(env: VectorEnv, when: int, t: int, masks: Masks) -> Masks:
     """Before step `when` of an episode, resets sub-environment 1 alone. See `play` for the others."""
     if t != when:
         return masks
-    return env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})[1]["action_mask"]  # type: ignore[no-any-return]
+    _, info = env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})
+    masks = info["action_mask"]
+    return masks
 
 
 def copies(make: Make) -> Iterator[str]:

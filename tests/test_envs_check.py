@@ -465,7 +465,7 @@ def test_what_an_adapter_finds_while_it_plays(monkeypatch: pytest.MonkeyPatch, t
 
     assert problems(make) == ["pettingzoo:toy_odd_too: the agents ['b'] play on without an observation."]
     with pytest.raises(envs.InputError, match="need discrete ones"):
-        problems(lambda *args: make(*args, kind="continuous"))
+        problems(lambda num_envs, seed, copy: make(num_envs, seed, copy, "continuous"))
 
 
 # ---------------------------------------------------------------------------------------------------------------------
