@@ -6,6 +6,7 @@ Algorithms that the paper does not have, such as your own, are black.
 """
 
 import io
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import EngFormatter
 from PIL import Image, PngImagePlugin
 
 import aggregate
@@ -47,7 +49,6 @@ SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
 DOTS_PER_INCH = 110
 PNG_COLOURS = 64
 LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
-SHORT = 0.2  # a run that ends before this share of the paper's timesteps would be hard to see beside the whole
 NARROWEST = 8.5  # inches, so that the legend has room
 
 plt.rcParams.update(
@@ -150,22 +151,23 @@ def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataF
 
 
 def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Figure:
-    """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds."""
+    """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds; evaluations from
+    `results.in_tables`."""
     chosen = evaluations[(evaluations["family"] == family) & (evaluations["sharing"] == sharing)]
     tasks = in_order(chosen["task"])
-    x = "share of the paper's timesteps"
-    if family == "other":  # the paper has none of these tasks
-        x, chosen = "timesteps", chosen.assign(paper_timesteps=1)
-    figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, x, "return")
+    figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, "", "return")
     for task, panel in zip(tasks, axes):
-        end = 0.0
-        for algorithm, line in mean_curves(chosen[chosen["task"] == task], "return_mean"):
+        rows = chosen[chosen["task"] == task]
+        if family == "other" or rows["other_budget"].any():  # shares of the paper's budgets would end at several places
+            panel.set_xlabel("timesteps")
+            panel.xaxis.set_major_formatter(EngFormatter())
+            rows = rows.assign(paper_timesteps=1)
+        else:
+            panel.set_xlabel("share of the paper's timesteps")
+        for algorithm, line in mean_curves(rows, "return_mean"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
-            end = max(end, line["x"].iloc[-1])
         panel.set_title(task, fontsize=min(10.8, 330 / len(task)))  # a long name has the width of its panel, too
-        if SHORT < end <= 1.02:
-            end = 1
-        panel.set_xlim(-0.02 * end, 1.02 * end)
+        panel.margins(x=0.02)
         if family == "matrix" and panel.get_ylim()[0] < -LINEAR:
             panel.set_yscale("symlog", linthresh=LINEAR)
             panel.set_yticks([-2000, -LINEAR, 0, LINEAR], minor=False)
@@ -175,14 +177,15 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Fi
     return figure
 
 
-def title_of_family(family: str, rows: pd.DataFrame) -> str:
-    """A family's name, how many tasks its panel is made of, and on how many of them each algorithm was run."""
+def set_family_title(panel: Axes, family: str, rows: pd.DataFrame) -> None:
+    """A family's name and the number of its tasks; where algorithms were run on some of them only, on how many each."""
     tasks, each = rows["task"].nunique(), rows.groupby("algorithm")["task"].nunique()
-    title = f"{FAMILIES[family]}, {tasks} task{'s' * (tasks != 1)}"
-    if each.min() == tasks:
-        return title
-    most = f" to {each.max()}" if each.min() < each.max() else ""
-    return f"{title}, {each.min()}{most} each"
+    title, small = f"{FAMILIES[family]}, {tasks} task{'s' * (tasks != 1)}", ""
+    if each.min() < tasks:
+        numbers = ", ".join(f"{name.upper()} {each[name]}" for name in algorithm_order(each.index))
+        small = textwrap.fill(f"run on so many of them: {numbers}", 60)
+    panel.set_title(title, pad=22 if small else 6)
+    panel.text(0.5, 1.02, small, fontsize=6.5, ha="center", transform=panel.transAxes)
 
 
 def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
@@ -194,7 +197,7 @@ def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
         rows = chosen[chosen["family"] == family]
         for algorithm, line in mean_curves(rows, "normalised"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
-        panel.set_title(title_of_family(family, rows))
+        set_family_title(panel, family, rows)
         panel.set_ylim(-0.02, 1.02)
     figure.suptitle(f"Normalised returns, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
@@ -294,7 +297,7 @@ def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
             panel.step(thresholds, share, **look, lw=1.3)
             if min(map(len, by_task)) > 1:  # of a single seed no interval is known
                 panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")
-        panel.set_title(title_of_family(family, rows))
+        set_family_title(panel, family, rows)
     figure.suptitle(f"Runs above a normalised return at the last evaluation, {SHARING[sharing]}")
     legend(figure, chosen["algorithm"])
     return figure

@@ -64,6 +64,7 @@ class Report:
         self.shown = in_tables(self.evaluations)
         self.ours, self.paper = our_cells(self.evaluations), paper_cells()
         self.both = tables.compare(self.ours, self.paper)
+        self.compared = self.both[self.both["difference"].notna()]  # with the paper's
         self.normalised = aggregate.normalise(self.evaluations)
         self.hours = aggregate.cpu_hours(self.evaluations)
         self.speeds = speeds(results)
@@ -90,25 +91,20 @@ class Report:
 
     def agreement(self) -> str:
         """How many of our values agree with the paper's."""
+        if self.compared.empty:
+            return "None of our values is of one of the paper's tasks with its budget and flags."
         sentences = []
         for metric, name in (("average_return", "average returns"), ("max_return", "maximum returns")):
-            cells = self.both[(self.both["metric"] == metric) & self.comparable()]
-            near = int((cells["difference"].abs() <= 1).sum())
-            sentences.append(f"{near} of {len(cells)} {name}")
-        if not self.comparable().any():
-            return "None of our values has the paper's budget and flags."
+            differences = self.compared.loc[self.compared["metric"] == metric, "difference"]
+            sentences.append(f"{(differences.abs() <= 1).sum()} of {len(differences)} {name}")
         return (
             f"Of our values with the paper's budget, with and without sharing, {' and '.join(sentences)} are no "
             "further from the paper's than both intervals together."
         )
 
-    def comparable(self) -> pd.Series:
-        """Which cells have the paper's budget and a value of the paper that can be."""
-        return ~self.both["other_budget"] & ~self.both["impossible"] & self.both["difference"].notna()
-
     def differences(self) -> str:
         """The cells that are further from the paper's than both intervals together."""
-        cells = self.both[self.comparable() & (self.both["difference"].abs() > 1)]
+        cells = self.compared[self.compared["difference"].abs() > 1]
         cells = cells[cells["metric"].isin(["average_return", "max_return", "max_win_rate"])]
         cells = cells.reindex(cells["difference"].abs().sort_values(ascending=False, kind="stable").index)
         header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference"]
@@ -192,13 +188,18 @@ class Report:
             body.append([task, *("-" if np.isnan(value) else f"{value:,.0f}" for value in values)])
         return tables.to_markdown(["task", *columns], body)
 
-    def claims_table(self) -> str:
-        """The paper's claims, judged by its own tables and by our results."""
-        body = []
-        verdicts = zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours))
-        for (place, sentence, _), paper, ours in verdicts:
-            body.append([place, sentence, paper.verdict, ours.verdict, ours.figures])
-        return tables.to_markdown(["section", "claim", "by the paper's tables", "by our results", "our figures"], body)
+    def claims_table(self) -> tuple[str, int]:
+        """The paper's claims that our results say something of, judged by its own tables and by them; and the number
+        of the others."""
+        body = [
+            [place, sentence, paper.verdict, ours.verdict, ours.figures]
+            for (place, sentence, _), paper, ours in zip(
+                claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours)
+            )
+            if ours.figures
+        ]
+        header = ["section", "claim", "by the paper's tables", "by our results", "our figures"]
+        return tables.to_markdown(header, body) if body else "", len(claims.CLAIMS) - len(body)
 
     def long(self) -> str:
         """What stands in benchmark/README.md."""
@@ -210,7 +211,8 @@ class Report:
             for sharing, words in plots.SHARING.items():
                 if table := tables.markdown(self.both, metric, sharing):
                     parts += [f"#### {title}, {words}", table]
-        parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
+        if len(self.compared):
+            parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
         if table := tables.variants(self.evaluations, self.ours):
             parts += ["#### Other flags and budgets", table]
         if figures := self.figures():
@@ -227,7 +229,11 @@ class Report:
             parts += ["### CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
             parts += ["### Simulation speed, environment steps per second on one core", self.speed_table()]
-        parts += ["### The paper's claims", CLAIMS_WORDS, self.claims_table()]
+        table, missing = self.claims_table()
+        if table:
+            parts += ["### The paper's claims", CLAIMS_WORDS, table]
+        if table and missing:
+            parts.append(f"{missing} of the {len(claims.CLAIMS)} claims are not measured at all yet.")
         return paragraphs(parts)
 
     def short(self) -> str:

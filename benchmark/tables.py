@@ -1,7 +1,8 @@
 """The paper's tables from cells of results (`results.our_cells`, `results.paper_cells`), as Markdown and LaTeX.
 
-In a row, the highest mean is bold. An asterisk: not significantly different from it in a two-sided Student t-test
-with equal variances at 0.05, computed from means, intervals and numbers of seeds, as the paper's own marks can be.
+In a row, the highest mean is bold, and with it those that are printed alike. An asterisk: not significantly different
+from one of them in a two-sided Student t-test with equal variances at 0.05, computed from means, intervals and numbers
+of seeds, as the paper's own marks can be.
 """
 
 import json
@@ -26,12 +27,13 @@ TITLES = {
 }
 MARKED = ("max_return",)  # the paper's other tables have no marks
 LEGEND = """\
-In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours. An asterisk: not
-significantly different from it. A small number: so many seeds instead of five; a single one has no interval. °: the
-maximum lies at step 0, before any training, and is the luck of random networks. †: another budget than the paper's. ‡:
-a value of the paper that cannot be, since its average is above its maximum. Difference: ours minus the paper's, in
-units of both intervals together (the root of the sum of their squares, at least 0.01; for a single seed, whose interval
-is not known, the paper's standard deviation is taken)."""
+In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours, or several that are printed
+alike. An asterisk: not significantly different from one of these. A small number: so many seeds instead of five; a
+single one has no interval. °: the maximum lies at step 0, before any training, and is the luck of random networks. †:
+another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its average is
+above its maximum. Difference: ours minus the paper's, in units of both intervals together (the root of the sum of their
+squares, at least 0.01). The interval of a single seed is not known; 2 s takes its place, where s is the standard
+deviation of the paper's five seeds."""
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 LATEX_SIGNS = {
     "_": r"\_",
@@ -57,12 +59,14 @@ def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2:
 
 def marks(row: pd.DataFrame) -> list[str]:
     """For each cell of a table's row "best", "not significantly different" or "", in the words of the paper's CSV."""
-    best = row.loc[row["mean"].idxmax()]
+    cells = list(row[["mean", "interval", "seeds"]].itertuples(index=False, name=None))
+    highest = round(row["mean"].max(), 2)
+    best = [cell for cell in cells if round(cell[0], 2) == highest]
     found = []
-    for mean, interval, seeds in zip(row["mean"], row["interval"], row["seeds"]):
-        if round(mean, 2) == round(best["mean"], 2):
+    for cell in cells:
+        if cell in best:
             found.append("best")
-        elif same_mean(mean, interval, seeds, best["mean"], best["interval"], best["seeds"]):
+        elif any(same_mean(*cell, *other) for other in best):
             found.append("not significantly different")
         else:
             found.append("")
@@ -86,7 +90,10 @@ def impossible(paper: pd.DataFrame) -> pd.Series:
 
 
 def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
-    """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference."""
+    """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference.
+
+    difference: in units of both intervals; NaN with another budget, and without a value of the paper that can be.
+    """
     theirs = paper.assign(impossible=impossible(paper)).rename(
         columns={"task": "paper_task", "mean": "paper_mean", "interval": "paper_interval"}
     )
@@ -95,7 +102,8 @@ def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     both["impossible"] = both["impossible"].eq(True)
     single = both["paper_interval"] * np.sqrt(PAPER_SEEDS)  # 2 s / sqrt(1), s from the paper's five seeds
     together = np.hypot(both["interval"].fillna(single), both["paper_interval"]).clip(lower=PRECISION)
-    return both.assign(difference=(both["mean"] - both["paper_mean"]) / together)
+    difference = ((both["mean"] - both["paper_mean"]) / together).round(9)  # one interval apart is 1.0000000000001563
+    return both.assign(difference=difference.mask(both["other_budget"] | both["impossible"]))
 
 
 def number(mean: float, interval: float) -> str:
@@ -129,11 +137,8 @@ def paper_text(cell: Any) -> str:
 
 
 def difference_text(cell: Any) -> str:
-    """The difference; a dash where the paper's value cannot be, or the other budget makes another average."""
-    other_average = cell.other_budget and cell.metric == "average_return"
-    if np.isnan(cell.difference) or cell.impossible or other_average:
-        return "-"
-    return f"{round(cell.difference, 1) + 0.0:+.1f}"
+    """The difference; a dash where there is none."""
+    return "-" if np.isnan(cell.difference) else f"{round(cell.difference, 1) + 0.0:+.1f}"
 
 
 def short_text(cell: Any) -> str:
@@ -169,14 +174,15 @@ def rows(cells: pd.DataFrame, algorithms: list[str], *texts: Callable[[Any], str
 
 
 def lines(both: pd.DataFrame, metric: str, sharing: bool) -> list[list[str]]:
-    """A table's lines: task, whose, a cell in Markdown for each of `columns`. Three a task: ours, the paper's, the
-    difference."""
+    """A table's lines: task, whose, a cell in Markdown for each of `columns`. Up to three a task: ours, the
+    paper's, the difference."""
     chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
     found = []
     for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
         found.append([task, "ours", *ours])
-        if set(paper) - {"", "-"}:
-            found += [["", "paper", *paper], ["", "difference", *differences]]
+        for whose, row in (("paper", paper), ("difference", differences)):
+            if set(row) - {"", "-"}:
+                found.append(["", whose, *row])
     return found
 
 

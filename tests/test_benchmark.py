@@ -553,6 +553,22 @@ def test_differences_in_units_of_both_intervals():
     assert cell(compared(evaluations([[175.02, 175.02]] * 5)))["difference"] == pytest.approx(2)  # 0.01 at least
 
 
+def reported(both):
+    """A report of these cells alone, without files."""
+    made = report.Report.__new__(report.Report)
+    made.compared = both[both["difference"].notna()]
+    return made
+
+
+def test_one_interval_apart_agrees():
+    """50 - 49.98 over an interval of 0.02 is 1.0000000000001563."""
+    whole = reported(compared(evaluations([[50, 50]] * 5, task="matrix-penalty-50", algorithm="maddpg")))
+    assert "1 of 1 maximum returns" in whole.agreement()
+    assert "Maximum returns" not in whole.differences()
+    further = reported(compared(evaluations([[50.01, 50.01]] * 5, task="matrix-penalty-50", algorithm="maddpg")))
+    assert "0 of 1 maximum returns" in further.agreement() and "Maximum returns" in further.differences()
+
+
 def test_the_signs_of_cells():
     few = evaluations([[9, 4], [9, 4]])
     short = evaluations([[1, 5]] * 5, algorithm="ia2c", changed={"total_timesteps": 1000}, budget=1000)
@@ -569,7 +585,8 @@ def test_the_signs_of_cells():
     assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", True)
     assert "$^{1}$$^{0}$" in tables.latex(many, "max_return", True)
     averages = tables.markdown(both, "average_return", True).splitlines()
-    assert dict(zip(averages[0].split(" | "), averages[4].split(" | ")))["IA2C"] == "-"  # another budget's average
+    for lines in (averages, tables.markdown(both, "max_return", True).splitlines()):
+        assert dict(zip(header.split(" | "), lines[4].split(" | ")))["IA2C"] == "-"  # another budget
     assert "**" not in averages[2]
     text = tables.latex(both, "max_return", True)
     assert r"\textbf{9.00 $\pm$ 0.00} $^{2}$$^{\circ}$" in text and r"5.00 $\pm$ 0.00 $^{\dagger}$" in text
@@ -584,6 +601,9 @@ def test_asterisks_by_the_t_test():
     assert tables.marks(row) == ["best", "not significantly different", ""]
     assert not tables.same_mean(1.0, np.nan, 1, 0.99, 0.2, 5)
     assert tables.same_mean(1.0, 0.0, 5, 1.0, 0.0, 5) and not tables.same_mean(1.0, 0.0, 5, 0.9, 0.0, 5)
+    tied = pd.DataFrame({"mean": [1.0, 1.0, 0.7], "interval": [0.01, 0.3, 0.2], "seeds": 5})
+    for order in ([0, 1, 2], [1, 0, 2]):  # 0.7 is significantly different from one of the best, not from the other
+        assert tables.marks(tied.iloc[order].reset_index(drop=True)) == ["best", "best", "not significantly different"]
     few, many = np.array([1.0, 2.2]), np.array([0.0, 0.5, 0.3, 0.8, 0.9])  # unequal numbers of seeds: p = 0.047
     cells = [(runs.mean(), results.interval(runs.std(ddof=1), len(runs)), len(runs)) for runs in (few, many)]
     assert ttest_ind(few, many).pvalue < 0.05 and not tables.same_mean(*cells[0], *cells[1])
@@ -596,10 +616,7 @@ def test_what_cannot_be_is_shown_and_does_not_count():
     """The paper's IQL on 10x10-3p-3f without sharing has an average above its maximum."""
     both = compared(evaluations([[1, 2]] * 5, task="lbf-10x10-3p-3f", algorithm="iql", sharing=False))
     lines = tables.markdown(both, "max_return", False).splitlines()
-    assert "‡" in lines[3] and lines[4].split("|")[3].strip() == "-"
-    whole = report.Report.__new__(report.Report)
-    whole.both = both
-    assert not whole.comparable().any()
+    assert "‡" in lines[3] and len(lines) == 4 and reported(both).compared.empty
 
 
 def test_the_short_table_is_of_shared_parameters():
@@ -722,21 +739,20 @@ def test_cpu_hours():
 
 
 def test_curves_have_the_width_of_their_runs():
-    """Those of tasks that the paper does not have are drawn over timesteps."""
+    """Outside the paper's budgets, and of tasks that it does not have, they are drawn over timesteps."""
     for task, budget, end in (
         ("matrix-climbing", 2_500_000, 1),
-        ("matrix-climbing", 1_250_000, 1),
-        ("matrix-climbing", 25_000, 0.01),
-        ("matrix-climbing", 5_000_000, 2),
-        ("gymnasium:lbforaging:Foraging-8x8-2p-2f-coop-v3", 25_000, 25_000),
+        ("matrix-climbing", 25_000, 25_000),
+        ("gymnasium:lbforaging:Foraging-8x8-2p-2f-coop-v3", 2_500_000, 2_500_000),
     ):
-        rows = evaluations([[0, 1]] * 2, task=task, budget=budget)
+        changed = {"total_timesteps": budget} if budget != 2_500_000 else {}
+        rows = results.in_tables(evaluations([[0, 1]] * 2, task=task, budget=budget, changed=changed))
         figure = plots.learning_curves(rows, results.family(task), True)
         panel = figure.axes[0]
         assert panel.get_xlim() == pytest.approx((-0.02 * end, 1.02 * end))
         figure.draw_without_rendering()
         assert panel.title.get_window_extent().width <= figure.bbox.width
-        assert panel.get_xlabel() == ("timesteps" if ":" in task else "share of the paper's timesteps")
+        assert panel.get_xlabel() == ("timesteps" if end > 1 else "share of the paper's timesteps")
         plots.plt.close(figure)
 
 
@@ -1011,20 +1027,47 @@ def test_a_report_of_changed_flags_alone(monkeypatch, tmp_path, capsys):
     collect.collect_run(directory, tmp_path / "results")
     write_report(monkeypatch, tmp_path)
     text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
-    assert "1 run on 1 task. None of our values has the paper's budget and flags." in text and "network gru" in text
+    assert "1 run on 1 task. None of our values is of one of the paper's tasks with" in text and "network gru" in text
     assert "### Figures" not in text and "### Over all tasks" not in text
     with pytest.raises(SystemExit):
         write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "m.json"))
     assert "there are none" in capsys.readouterr().err and not (tmp_path / "m.json").exists()
 
 
-def test_titles_say_on_how_many_tasks_algorithms_were_run():
-    pairs = {"iql": "ab", "vdn": "ab"}
-    for more, title in (({}, "2 tasks"), ({"coma": "c"}, "3 tasks, 1 to 2 each")):
-        rows = [(name, task) for name, tasks in (pairs | more).items() for task in tasks]
-        assert plots.title_of_family("lbf", pd.DataFrame(rows, columns=["algorithm", "task"])) == f"LBF, {title}"
-    rows = pd.DataFrame({"algorithm": ["iql", "vdn"], "task": ["a", "b"]})
-    assert plots.title_of_family("smac", rows) == "SMAC, 2 tasks, 1 each"
+def test_panels_say_on_how_many_tasks_each_algorithm_was_run():
+    both = [evaluations([[0, 1]] * 2, algorithm=name) for name in ("mappo", "ia2c")]
+    other = evaluations([[0, 1]] * 2, task="matrix-penalty-0", algorithm="ia2c")
+    for runs, title, small in (
+        (both, "Matrix games, 1 task", ""),
+        ([*both, other], "Matrix games, 2 tasks", "run on so many of them: IA2C 2, MAPPO 1"),
+    ):
+        normalised = aggregate.normalise(pd.concat(runs))
+        for figure in (plots.normalised_curves(normalised, True), plots.profiles(normalised, True)):
+            (panel,) = figure.axes
+            assert panel.get_title() == title and [text.get_text() for text in panel.texts] == [small]
+            plots.plt.close(figure)
+
+
+def test_a_report_of_short_runs_compares_nothing_with_the_paper(monkeypatch, tmp_path):
+    for algorithm in ("mappo", "ia2c"):
+        directory = make_run(tmp_path / algorithm, changed={"total_timesteps": 20_000})
+        config = json.loads((directory / "config.json").read_text())
+        (directory / "config.json").write_text(json.dumps(config | {"algorithm": algorithm}))
+        collect.collect_run(directory, tmp_path / "results")
+    write_report(monkeypatch, tmp_path)
+    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    assert "None of our values is of one of the paper's tasks with its budget and flags." in text
+    for absent in ("Where we are further", "| difference |", "not measured", "claim"):
+        assert absent not in text
+    assert "timesteps" in (tmp_path / "out" / "figures" / "curves-matrix-shared.svg").read_text()
+
+
+def test_claims_that_are_not_measured_take_one_line():
+    made = reported(compared(evaluations([[0, 1]])))
+    made.paper, made.ours = results.paper_cells(), judged_cells({task: {} for task in claims.RWARE})
+    table, missing = made.claims_table()
+    assert 0 < missing < len(claims.CLAIMS) and len(table.splitlines()) == 2 + len(claims.CLAIMS) - missing
+    assert "|  |" not in table  # each line has figures
 
 
 def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(tmp_path):
