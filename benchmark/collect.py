@@ -5,7 +5,7 @@
 Runs are found by their config.json, anywhere below the folder. A run is complete when its last evaluation stands at its
 budget. What the results hold already stays: a seed with other numbers is refused, or takes the old one's place with
 --replace. All seeds of a table have equally many evaluations, and for an algorithm of one's own the same script: a run
-that was lengthened keeps its old distances, and may not fit. `results.py` says what the tables hold.
+that was lengthened keeps its old distances, and may not fit. `reporting/results.py` says what the tables hold.
 """
 
 import argparse
@@ -22,11 +22,26 @@ import pandas as pd
 
 from envs import runs
 from envs.runs import one_sentence
-from results import COLUMNS, RESULTS, check_script, read_evaluations, read_json, read_settings, read_table, table_path
+from reporting.results import (
+    COLUMNS,
+    RESULTS,
+    check_script,
+    read_evaluations,
+    read_json,
+    read_settings,
+    read_table,
+    table_path,
+)
 
-NOT_COMPLETE = "it is not complete"
 SECONDS = ["wall_seconds", "cpu_seconds"]
 ORIGIN = ("commit", "version", "script", "python", "versions", "machine", "fast_mkl")
+
+
+class NotComplete(ValueError):
+    """A run has not reached its end."""
+
+    def __init__(self) -> None:
+        super().__init__("it is not complete")
 
 
 def read_text(path: Path) -> pd.DataFrame:
@@ -35,16 +50,16 @@ def read_text(path: Path) -> pd.DataFrame:
 
 
 def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The config and the evaluations of a complete run. Raises ValueError for any other."""
+    """The config and the evaluations of a complete run. Raises NotComplete, or ValueError where they are damaged."""
     config = read_json(directory / "config.json", {"seed": int})
     path = directory / "evaluations.csv"
     if not path.exists() or not path.stat().st_size:
-        raise ValueError(NOT_COMPLETE)
+        raise NotComplete
     numbers = read_evaluations(path, COLUMNS)
     if list(numbers["point"]) != list(range(len(numbers))):
         raise ValueError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
     if numbers.empty or numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
-        raise ValueError(NOT_COMPLETE)
+        raise NotComplete
     planned = config["flags"].get("eval_points", len(numbers))
     if len(numbers) != planned and "total_timesteps" not in config["changed"]:
         raise ValueError(
@@ -164,7 +179,7 @@ def main() -> None:
             table_file = collect_run(directory, args.results, args.replace)
         except (ValueError, OSError) as error:  # not complete, other flags, a damaged file, a full disk
             print(f"{directory}: left out, {error}", file=sys.stderr)
-            wrong |= str(error) != NOT_COMPLETE
+            wrong |= not isinstance(error, NotComplete)
         else:
             print(f"{directory}: in {table_file}")
     if wrong:

@@ -13,7 +13,7 @@ evaluations in marl-eval's JSON, for other programs.
 
     python benchmark/report.py --grid benchmark/searches/paper
 
-prints the variants of a search (`search.py`), the best first, and writes nothing.
+prints the variants of a search (`reporting/search.py`), the best first, and writes nothing.
 """
 
 import argparse
@@ -28,13 +28,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-import aggregate
-import claims
-import plots
-import tables
 from envs import runs
 from envs.runs import one_sentence
-from results import (
+from reporting import aggregate, claims, plots, tables
+from reporting.results import (
     FAMILIES,
     HERE,
     KEY,
@@ -49,7 +46,7 @@ from results import (
     paper_cells,
     speeds,
 )
-from search import search_report
+from reporting.search import search_report
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
@@ -262,8 +259,8 @@ were run on different tasks do not compare in the first table."""
 
 CLAIMS_WORDS = """\
 Of the paper's sections 5 and 6, by maximum returns with sharing unless a sentence says otherwise. The head of
-`benchmark/claims.py` says what "significantly", "similar", "competitive" and "majority" mean here. By these meanings
-some of the sentences do not hold in the paper's own tables."""
+`benchmark/reporting/claims.py` says what "significantly", "similar", "competitive" and "majority" mean here. By these
+meanings some of the sentences do not hold in the paper's own tables."""
 
 
 def paragraphs(parts: list[str]) -> str:

@@ -31,10 +31,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from campaign.scripts import load_script
 from envs import runs
 from envs.families import mpe
 from envs.runs import one_sentence
-from training import load_script
 
 EPISODES = 1000
 Actions = NDArray[np.int64]
@@ -148,7 +148,7 @@ def train(task: str, seed: int, directory: Path) -> None:
     module: Any = load_script("maddpg")
     kept = directory.with_name(f"{directory.name}-candidates")
 
-    class Run(module.Run):
+    class KeepsCandidates(module.Run):
         def __init__(self, *parts: Any) -> None:
             super().__init__(*parts)
             self.signals.advice = "the same command goes on"
@@ -159,7 +159,7 @@ def train(task: str, seed: int, directory: Path) -> None:
                 kept.mkdir(exist_ok=True)
                 np.savez(kept / f"{self.timestep}.npz", **network(self.parts["agents"], opponent_of(task))._asdict())
 
-    module.Run = Run
+    module.Run = KeepsCandidates
     flags = ["--env", f"{task}-selfplay", "--individual-rewards", "--no-parameter-sharing", "--network", "fc"]
     flags += ["--seed", str(seed), "--run-dir", str(directory), "--resume"]
     for name, value in TRAININGS[task]._asdict().items():

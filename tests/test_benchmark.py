@@ -18,17 +18,13 @@ from PIL import Image
 from scipy.stats import ttest_ind
 from scripts import NAMES, ROOT
 
-import aggregate
-import claims
 import collect
 import envs
-import plots
 import report
-import results
-import stepping
-import tables
+import time_stepping
+import time_training
 import train_opponents
-import training
+from reporting import aggregate, claims, plots, results, tables
 
 BENCHMARK = ROOT / "benchmark"
 COLUMNS = "point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"
@@ -1107,8 +1103,8 @@ def test_a_full_disk_leaves_the_old_figures(monkeypatch, tmp_path):
     "command, said",
     [
         ("collect.py nowhere", "no runs in nowhere"),
-        ("stepping.py --tasks nothing", "unknown task 'nothing'"),
-        ("stepping.py --tasks own:nope", "there is no module nope"),
+        ("time_stepping.py --tasks nothing", "unknown task 'nothing'"),
+        ("time_stepping.py --tasks own:nope", "there is no module nope"),
     ],
 )
 def test_wrong_input_is_named(command, said):
@@ -1118,7 +1114,7 @@ def test_wrong_input_is_named(command, said):
 
 def test_stepping_counts_no_step_of_what_has_finished():
     """On the smallest map random agents collect the only food long before the 50th step."""
-    counted = stepping.ours("lbf-5x5-2p-1f", 100, False)()
+    counted = time_stepping.ours("lbf-5x5-2p-1f", 100, False)()
     env = envs.make("lbf-5x5-2p-1f", 2000)
     env.reset()
     totals = envs.EpisodeTotals(env)
@@ -1126,7 +1122,7 @@ def test_stepping_counts_no_step_of_what_has_finished():
     while not totals.ended.all():
         totals.add(*env.step(rng.integers(0, env.n_actions, (2000, 2)))[1:])
     assert counted == pytest.approx(100 * totals.means()["episode_length"], rel=0.1) and counted < 4000
-    assert stepping.ours("matrix-climbing", 4, False)() == 100
+    assert time_stepping.ours("matrix-climbing", 4, False)() == 100
 
 
 def test_stepping_takes_the_best_of_five_measurements(monkeypatch):
@@ -1138,8 +1134,8 @@ def test_stepping_takes_the_best_of_five_measurements(monkeypatch):
         clock[0] += next(durations)
         return 100
 
-    monkeypatch.setattr(stepping, "time", SimpleNamespace(process_time=lambda: clock[0]))
-    assert stepping.rate(play, seconds=5.0) == 400
+    monkeypatch.setattr(time_stepping, "time", SimpleNamespace(process_time=lambda: clock[0]))
+    assert time_stepping.rate(play, seconds=5.0) == 400
     assert not list(durations)
 
 
@@ -1147,7 +1143,7 @@ def test_stepping_keeps_its_figures(tmp_path):
     file = tmp_path / "stepping.csv"
     file.write_text("task,whose,steps_per_second,processor,commit\nmatrix-climbing,old,1,x,y\nother,kept,2,x,y\n")
     flags = ["--tasks", "matrix-climbing", "--num-envs", "2", "--seconds", "0.1", "--output", file]
-    done = run("stepping.py", *flags)
+    done = run("time_stepping.py", *flags)
     assert done.returncode == 0 and "126,582" in done.stdout, done.stderr  # the paper's 0.079 s for 10,000
     found = pd.read_csv(file).set_index("whose")["steps_per_second"]
     assert list(found.index) == ["kept", "ours, num_envs=2"] and found.iloc[-1] > 1000
@@ -1172,16 +1168,16 @@ def run_here(monkeypatch, program, *flags):
         (["--tasks", "matrix-climbing", "pettingzoo:nope"], "there is no module nope"),
         (["--output", "nowhere/speeds.csv"], "there is no folder nowhere"),
         (["--output", "."], "Is a directory"),
-        (["--output", ROOT / "README.md"], "README.md is not a table of stepping.py"),
-        (["--output", results.PAPER / "returns.csv"], "returns.csv is not a table of stepping.py"),
-        (["--output", results.PAPER / "env_speed.csv"], "env_speed.csv is not a table of stepping.py"),
+        (["--output", ROOT / "README.md"], "README.md is not a table of time_stepping.py"),
+        (["--output", results.PAPER / "returns.csv"], "returns.csv is not a table of time_stepping.py"),
+        (["--output", results.PAPER / "env_speed.csv"], "env_speed.csv is not a table of time_stepping.py"),
     ],
 )
 def test_wrong_input_of_stepping_is_named_before_it_begins(monkeypatch, capsys, tmp_path, flags, said):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(stepping, "rate", lambda *_: pytest.fail("it was timed"))
+    monkeypatch.setattr(time_stepping, "rate", lambda *_: pytest.fail("it was timed"))
     with pytest.raises(SystemExit, match="2"):
-        run_here(monkeypatch, stepping, *flags)
+        run_here(monkeypatch, time_stepping, *flags)
     assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
@@ -1189,10 +1185,10 @@ def test_stepping_does_not_make_its_own_commit_dirty(monkeypatch, tmp_path):
     """The commit is asked for once, before the first figures are written."""
     commits = iter(["clean", "dirty", "dirty"])
     origin = {"machine": {"processor": "x"}}
-    monkeypatch.setattr(stepping.runs, "provenance", lambda: origin | {"commit": next(commits)})
-    monkeypatch.setattr(stepping, "rate", lambda *_: 1.0)
+    monkeypatch.setattr(time_stepping.runs, "provenance", lambda: origin | {"commit": next(commits)})
+    monkeypatch.setattr(time_stepping, "rate", lambda *_: 1.0)
     tasks = ["matrix-climbing", "matrix-penalty-0"]
-    run_here(monkeypatch, stepping, "--tasks", *tasks, "--num-envs", 1, "--output", tmp_path / "speeds.csv")
+    run_here(monkeypatch, time_stepping, "--tasks", *tasks, "--num-envs", 1, "--output", tmp_path / "speeds.csv")
     table = results.read_speeds(tmp_path / "speeds.csv")
     assert list(table["task"]) == tasks and set(table["commit"]) == {"clean"}
 
@@ -1215,7 +1211,13 @@ def test_wrong_input_of_training_opponents_is_named(monkeypatch, capsys, tmp_pat
 
 @pytest.mark.parametrize(
     "program, where",
-    [(collect, "read_json"), (report, "Report"), (stepping, "rate"), (training, "measure"), (train_opponents, "train")],
+    [
+        (collect, "read_json"),
+        (report, "Report"),
+        (time_stepping, "rate"),
+        (time_training, "measure"),
+        (train_opponents, "train"),
+    ],
 )
 def test_ctrl_c_ends_all_quietly(monkeypatch, capsys, tmp_path, program, where):
     def interrupt(*_):
@@ -1240,23 +1242,23 @@ def test_ctrl_c_ends_all_quietly(monkeypatch, capsys, tmp_path, program, where):
 )
 def test_wrong_input_of_training_is_named(monkeypatch, capsys, flags, said):
     with pytest.raises(SystemExit, match="2"):
-        run_here(monkeypatch, training, *flags)
+        run_here(monkeypatch, time_training, *flags)
     assert said in capsys.readouterr().err
 
 
 def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, tmp_path):
     """One of QMIX's on the largest map takes 11 GiB."""
-    monkeypatch.setattr(training.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(time_training.tempfile, "tempdir", str(tmp_path))
     sizes = []
-    file = training.runs.EpisodeFile
+    file = time_training.runs.EpisodeFile
 
     def noted(path, fields, size, played):
         sizes.append(size)
         return file(path, fields, size, played)
 
-    monkeypatch.setattr(training.runs, "EpisodeFile", noted)
+    monkeypatch.setattr(time_training.runs, "EpisodeFile", noted)
     flags = ["--env", "matrix-climbing", "--batch-size", "4", "--hidden-dim", "8"]
-    assert training.measure("vdn", flags, 0.05).rate > 0
+    assert time_training.measure("vdn", flags, 0.05).rate > 0
     assert sizes == [80]
 
 
@@ -1264,7 +1266,9 @@ def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, tmp_path):
     "algorithms, flags", [(["mappo", "coma", "qmix", "maddpg"], []), (["iql"], ["--", "--no-parameter-sharing"])]
 )
 def test_training_speed(monkeypatch, capsys, algorithms, flags):
-    run_here(monkeypatch, training, "--env", "matrix-climbing", "--seconds", "0.1", "--algorithms", *algorithms, *flags)
+    run_here(
+        monkeypatch, time_training, "--env", "matrix-climbing", "--seconds", "0.1", "--algorithms", *algorithms, *flags
+    )
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == algorithms
     assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import termios
+import textwrap
 import threading
 import time
 import zipfile
@@ -25,16 +26,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
+import psutil
 import pytest
 
 import envs
-import plan
-import results
 import run
-import search
-import training
-import view
-from envs import runs
+import time_training
+from campaign import campaign as campaigns
+from campaign import plan, scripts, view
+from envs.runs import is_whole
+from reporting import results, search
 
 BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
 
@@ -120,7 +121,7 @@ def main():
         lock = filelock.FileLock(directory / "lock").acquire(timeout=0)
     except filelock.Timeout:
         sys.exit(print(f"{directory} is in use.", file=sys.stderr) or 2)
-    parent = os.getppid()
+    parent, killed = os.getppid(), directory.with_name("killed")
     found = [progress_of(directory / f"checkpoint{which}.pt") for which in ("", ".previous")]
     timestep, rows = next(filter(None, found), [0, []])
     print("begins at", timestep, flush=True)
@@ -151,6 +152,9 @@ def main():
             sys.exit(128 + stopped[0])
         if args.trouble == f"fails{args.seed}":
             sys.exit("It fails for a reason.")
+        if args.trouble == "killed" or (args.trouble == "killed once" and rows[1:] and not killed.exists()):
+            killed.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
         if args.trouble in ("ENOSPC", "EDQUOT"):
             number = getattr(errno, args.trouble)
             sys.exit(print(f"[Errno {number}] {os.strerror(number)}", file=sys.stderr) or 2)
@@ -170,9 +174,9 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, sys.argv.pop(1))
-import training
+from campaign import scripts
 
-training.ALGOS = Path(sys.argv.pop(1))
+scripts.ALGOS = Path(sys.argv.pop(1))
 import run
 
 if __name__ == "__main__":
@@ -181,7 +185,7 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(autouse=True)
-def scripts(tmp_path, monkeypatch):
+def algos(tmp_path, monkeypatch):
     """Three stand-ins as the scripts, and a fresh working directory."""
     folder = tmp_path / "algos"
     folder.mkdir()
@@ -191,7 +195,7 @@ def scripts(tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, path.stem, None)  # so that afterwards all is as it was
         monkeypatch.delitem(sys.modules, path.stem)
     (tmp_path / "driver.py").write_text(DRIVER)
-    monkeypatch.setattr(training, "ALGOS", folder)
+    monkeypatch.setattr(scripts, "ALGOS", folder)
     monkeypatch.setattr(plan, "SCRIPTS", {})
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(results, "RESULTS", tmp_path / "results")
@@ -279,7 +283,7 @@ class TestPlan:
 
     def test_the_scripts_take_the_plan(self, monkeypatch):
         """The real scripts, every one on a task of every family, with the whole of the paper's grid."""
-        monkeypatch.setattr(training, "ALGOS", BENCHMARK.parent / "algos")
+        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
         grid = plan.read_grid(BENCHMARK / "grids" / "paper.csv")
         paper = make_plan("all", "matrix", (True, False), seeds=2)
         assert all(run.changed == {} for run in paper) and len(paper) == 9 * 6 * 2 * 2
@@ -321,23 +325,23 @@ class TestPlan:
         (run_of_tuple,) = make_plan("ia2c", "matrix-climbing")
         assert run_of_tuple.changed == {"layers": [32, 16]}
 
-    def test_a_module_without_flags_is_no_algorithm(self, scripts):
-        (scripts / "helpers.py").write_text("def help():\n    pass\n")
-        (scripts / ".#mappo.py").symlink_to("nobody@nowhere.1")
+    def test_a_module_without_flags_is_no_algorithm(self, algos):
+        (algos / "helpers.py").write_text("def help():\n    pass\n")
+        (algos / ".#mappo.py").symlink_to("nobody@nowhere.1")
         assert plan.chosen_algorithms(["all"]) == ["ia2c", "iql", "mappo"]
 
 
 class TestRunning:
-    def test_another_text_of_ones_own_script(self, monkeypatch, capsys, scripts):
-        (scripts / "own.py").write_text(STAND_IN)
+    def test_another_text_of_ones_own_script(self, monkeypatch, capsys, algos):
+        (algos / "own.py").write_text(STAND_IN)
         words = ["--algorithms", "own", "--seeds", 1]
         assert campaign(monkeypatch, *words) == 0
         config = Path("results/matrix-climbing/own-shared.json")
         settings = json.loads(config.read_text())
-        settings["seeds"]["0"]["script"] = runs.script_hash(scripts / "own.py")  # the stand-in does not say it
+        settings["seeds"]["0"]["script"] = envs.runs.script_hash(algos / "own.py")  # the stand-in does not say it
         config.write_text(json.dumps(settings))
         assert campaign(monkeypatch, *words) == 0
-        (scripts / "own.py").write_text(f"{STAND_IN}# changed\n")
+        (algos / "own.py").write_text(f"{STAND_IN}# changed\n")
         assert campaign(monkeypatch, *words) == 1
         assert "holds runs of another text of own.py" in capsys.readouterr().out
 
@@ -359,23 +363,6 @@ class TestRunning:
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert json.loads((folder_of(0) / "config.json").read_text())["omp"] == "1"
 
-    def test_a_run_of_another_seed_is_told_apart(self):
-        first, second = make_plan("ia2c", "matrix-climbing", seeds=2)
-        first.directory.mkdir(parents=True)
-        config = {"changed": {}, "flags": {"seed": second.seed}}
-        (first.directory / "config.json").write_text(json.dumps(config))
-        with pytest.raises(ValueError, match="holds a run with another seed"):
-            plan.check_same_flags(first)
-
-    def test_a_first_checkpoint_that_was_being_written_is_nothing(self):
-        (run,) = make_plan("ia2c", "matrix-climbing")
-        run.directory.mkdir(parents=True)
-        (run.directory / "checkpoint.new.pt").write_text("half of it")
-        assert plan.condition(run) == "new"
-        (run.directory / "checkpoint.new.pt").rename(run.directory / "checkpoint.pt")
-        with pytest.raises(plan.Damaged, match="no checkpoint that can be read"):
-            plan.condition(run)
-
     def test_what_is_complete_is_collected(self, monkeypatch):
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
         monkeypatch.setattr(run, "LocalJob", None)  # no run may start
@@ -389,7 +376,7 @@ class TestRunning:
         folder_of(0, f"ia2c-shared-total-timesteps={steps}").parent.rename(folder_of(0).parent)
         before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
         capsys.readouterr()
-        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "measure", measured)
         said = f"{folder_of(0).resolve()} holds a run with another total_timesteps: move it away"
         assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
         assert f"seed 0: would fail, {said}" in capsys.readouterr().out
@@ -408,7 +395,7 @@ class TestRunning:
     def test_as_many_at_once_as_there_are_jobs(self, monkeypatch):
         most = []
 
-        class Counted(run.LocalJob):
+        class Counted(campaigns.LocalJob):
             def __init__(self, *args):
                 super().__init__(*args)
                 most.append(sum(1 for job in jobs if job.poll() is None) + 1)
@@ -438,14 +425,70 @@ class TestRunning:
         """Others would only add to the runs that are half done."""
         runs = make_plan("ia2c", "matrix-climbing", seeds=3)
         unused: Any = None
-        work = run.Campaign(runs, Path(), Path("results"), unused, unused, view.LineView())
+        work = campaigns.Campaign(runs, Path(), Path("results"), unused, unused, view.LineView())
         work.waiting.popleft()
-        for _ in range(run.MOST_LOSSES):
-            work.try_again(runs[0], None)
+        for _ in range(campaigns.MOST_LOSSES):
+            work.try_again(runs[0], "its node was lost")
             assert list(work.waiting) == runs
             work.waiting.popleft()
-        work.try_again(runs[0], None)
-        assert list(work.waiting) == runs[1:] and work.failed == {runs[0].directory: "its node was lost 4 times"}
+        work.try_again(runs[0], "its node was lost")
+        assert list(work.waiting) == runs[1:]
+        assert work.failed == {runs[0].directory: "its node was lost; it was lost 4 times"}
+
+    def test_a_killed_run_goes_on(self, monkeypatch, capsys):
+        """As by the kernel, out of memory; but not for ever."""
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--trouble", "killed once") == 0
+        assert "it was killed, perhaps out of memory; it goes on from its last checkpoint" in capsys.readouterr().err
+        assert list(logs.values()) == ["begins at 10\n"]
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--trouble", "killed") == 1
+        assert (
+            "failed: matrix-climbing ia2c-shared-trouble=killed seed 0: it was killed, perhaps out of memory; it was "
+            "lost 4 times" in capsys.readouterr().out
+        )
+
+    def test_a_run_is_a_process_group_of_this_session(self, monkeypatch):
+        """Ctrl-C in the terminal does not reach it; and `nice`, which Linux weighs by session, does."""
+        (one,) = make_plan("ia2c", "matrix-climbing", flags=["--pace", "1"])
+        job = campaigns.LocalJob(one)
+        try:
+            assert os.getsid(job.process.pid) == os.getsid(0) and os.getpgid(job.process.pid) == job.process.pid
+        finally:
+            job.process.kill()
+            job.process.wait()
+
+    def test_ctrl_c_stops_it_in_the_background_of_a_shell_script(self, tmp_path):
+        """Where SIGINT is ignored from the start."""
+        process = subprocess.Popen(
+            driver(tmp_path, "--seeds", 1, "--", "--pace", "0.1"),
+            stdout=subprocess.PIPE,
+            text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+        )
+        checkpoint = folder_of(0, "ia2c-shared-pace=0.1") / "checkpoint.pt"
+        wait_for(checkpoint.exists)
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+        assert process.returncode == 130 and "Stopped; the same command goes on." in said and is_whole(checkpoint)
+
+    def test_where_results_go_is_said(self, monkeypatch, capsys):
+        monkeypatch.setattr(run, "RESULTS", Path("committed"))
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert "count as done" not in capsys.readouterr().err
+        monkeypatch.setattr(sys, "argv", "run.py --algorithms ia2c --tasks matrix-climbing --seeds 1 --dry-run".split())
+        monkeypatch.setattr(run, "measure", measured)
+        with pytest.raises(SystemExit, match="0"):
+            run.main()
+        assert "Runs that committed has count as done, and new ones are added to it" in capsys.readouterr().err
+
+    def test_a_real_script(self, monkeypatch):
+        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
+        flags = ["--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
+        assert campaign(monkeypatch, "--seeds", 1, "--", *flags) == 0
+        (table,) = Path("results/matrix-climbing").glob("ia2c-shared-*.csv")
+        assert [row["point"] for row in csv.DictReader(table.open())] == ["0", "1"]
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1, "--", *flags) == 0 and not logs
 
     @pytest.mark.parametrize("error", ["ENOSPC", "EDQUOT"])
     def test_a_full_disk_ends_the_campaign(self, monkeypatch, capsys, error):
@@ -454,7 +497,7 @@ class TestRunning:
         assert said.startswith("The disk is full") and said.count("failed:") == 1
 
     def test_a_run_that_could_not_say_that_the_disk_is_full(self, monkeypatch, capsys):
-        monkeypatch.setattr(run.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
+        monkeypatch.setattr(campaigns.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
         assert campaign(monkeypatch, "--seeds", 5, "--jobs", 1, "--", "--trouble", "fails0") == 1
         said = capsys.readouterr().out
         assert said.startswith("The disk is full") and said.count("failed:") == 1
@@ -484,10 +527,17 @@ class TestRunning:
         assert seeds_of("ia2c-shared") == {0: 20.0, 1: 20.0}
 
 
+def wait_for(condition):
+    """Until it holds, for a minute at most."""
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def signal_when(path):
     """Sends this program a signal once a file is there."""
-    while not path.exists():
-        time.sleep(0.01)
+    wait_for(path.exists)
     time.sleep(0.1)
     os.kill(os.getpid(), signal.SIGTERM)
 
@@ -495,123 +545,59 @@ def signal_when(path):
 def keep_logs(monkeypatch):
     """The logs of runs by name, which are otherwise gone when a run is complete."""
     logs = {}
-    finish = run.Campaign.finish
+    finish = campaigns.Campaign.finish
 
     def keep(self, one, code, lost):
-        if plan.log_path(one).exists():
-            logs[plan.log_path(one).name] = plan.log_path(one).read_text()
+        if one.log.exists():
+            logs[one.log.name] = one.log.read_text()
         finish(self, one, code, lost)
 
-    monkeypatch.setattr(run.Campaign, "finish", keep)
+    monkeypatch.setattr(campaigns.Campaign, "finish", keep)
     return logs
 
 
-def damage_checkpoint(path):
-    """Changes one bit in the middle of the data, which only the check sum tells."""
-    damaged = bytearray(path.read_bytes())
-    damaged[45] ^= 1
-    path.write_bytes(damaged)
-
-
 class TestDamage:
-    """Directories damaged by hand are kept, and the run is made again."""
+    """What is damaged, by hand or by a disk, stays as it is: one sentence, and the others go on."""
 
-    @pytest.fixture
-    def complete(self, monkeypatch):
-        """A complete run that was not collected."""
-        assert campaign(monkeypatch, "--algorithms", "ia2c", "iql", "--seeds", 1, "--results", "elsewhere") == 0
-        return folder_of(0)
-
-    def redone(self, monkeypatch, capsys, name="ia2c"):
-        logs = keep_logs(monkeypatch)
-        assert campaign(monkeypatch, "--algorithms", name, "--seeds", 1) == 0
-        assert seeds_of(f"{name}-shared") == {0: 20.0}
-        kept = Path("runs-damaged/matrix-climbing", f"{name}-shared", "seed0")
-        assert (kept / "config.json").exists()
-        assert f"damaged, {self.reason}; kept in {kept.resolve()}" in capsys.readouterr().err
-        assert logs["log-seed0.txt"].startswith("begins at 0\n")
-
-    @pytest.mark.parametrize("change", ["cut", "point", "config"])
-    def test_of_tables_that_the_checkpoint_has(self, monkeypatch, complete, change):
-        """The script makes them again from its checkpoint; nothing is trained again."""
-        table, config = complete / "evaluations.csv", complete / "config.json"
-        lines = table.read_text().splitlines(keepends=True)
-        if change == "cut":
-            table.write_text("".join(lines[:-1]))
-        elif change == "point":
-            table.write_text("".join(lines[:2] + lines[3:]))
-        else:
-            config.write_text(config.read_text()[:-5])
+    def test_a_table_that_lacks_its_end_is_made_again(self, monkeypatch):
+        """The script makes it again from its checkpoint; nothing is trained again."""
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        table = folder_of(0) / "evaluations.csv"
+        before = table.read_text()
+        table.write_text("".join(before.splitlines(keepends=True)[:-1]))
         logs = keep_logs(monkeypatch)
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert logs == {"log-seed0.txt": "begins at 40\n"} and seeds_of("ia2c-shared") == {0: 20.0}
-        assert table.read_text() == "".join(lines)
+        assert table.read_text() == before
 
-    def test_that_does_not_heal(self, monkeypatch, capsys):
-        """A script that ends well without its evaluations: once more from the beginning, and no more."""
-        assert campaign(monkeypatch, "--seeds", 1, "--", "--trouble", "lies") == 1
-        said = capsys.readouterr().out
-        assert "failed: matrix-climbing ia2c-shared-trouble=lies seed 0: it ended without its last evaluation" in said
-        assert len(list(Path("runs-damaged").rglob("seed0*"))) == 1
+    @pytest.mark.parametrize("name", ["config.json", "evaluations.csv"])
+    def test_a_damaged_run_fails_in_a_sentence(self, monkeypatch, capsys, name):
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        file = folder_of(0) / name
+        file.write_text(file.read_text()[:-5])
+        before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
+        monkeypatch.setattr(run, "measure", measured)
+        assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
+        assert campaign(monkeypatch, "--seeds", 2) == 1
+        assert f"{name} is damaged" in capsys.readouterr().out and seeds_of("ia2c-shared") == {1: 20.0}
+        assert before == {path: path.read_bytes() for path in folder_of(0).iterdir()}
 
-    def test_of_all_checkpoints(self, monkeypatch, capsys, complete):
-        for path in complete.glob("checkpoint*.pt"):
-            damage_checkpoint(path)
-        self.reason = "it has no checkpoint that can be read"
-        self.redone(monkeypatch, capsys)
-
-    def test_of_all_files_but_checkpoints_that_are_damaged(self, monkeypatch, capsys, complete):
-        (complete / "evaluations.csv").unlink()
-        self.test_of_all_checkpoints(monkeypatch, capsys, complete)
-
-    def test_a_copy_without_checkpoints_is_complete(self, monkeypatch, complete):
-        for path in complete.glob("*.pt"):
-            path.unlink()
-        logs = keep_logs(monkeypatch)
-        assert campaign(monkeypatch, "--seeds", 1) == 0
-        assert not logs and seeds_of("ia2c-shared") == {0: 20.0} and not Path("runs-damaged").exists()
-
-    def test_the_checkpoint_before_suffices(self, monkeypatch, capsys, complete):
-        """The run is gone on with from there, for 10 steps."""
-        damage_checkpoint(complete / "checkpoint.pt")
-        lines = (complete / "evaluations.csv").read_text().splitlines(keepends=True)
-        (complete / "evaluations.csv").write_text("".join(lines[:-1]))
-        logs = keep_logs(monkeypatch)
-        assert campaign(monkeypatch, "--seeds", 1) == 0
-        assert "checkpoint.pt is damaged, it goes on from another checkpoint" in capsys.readouterr().err
-        assert logs == {"log-seed0.txt": "begins at 30\n"} and seeds_of("ia2c-shared") == {0: 20.0}
-        assert not Path("runs-damaged").exists()
-
-    def test_damaged_checkpoints_are_dropped(self, complete):
-        """PyTorch would load one, so it must be gone before the script starts."""
-        damage_checkpoint(complete / "checkpoint.pt")
-        assert plan.drop_damaged_checkpoints(plan_of(complete)) == ["checkpoint.pt"]
-        assert [path.name for path in complete.glob("checkpoint*.pt")] == ["checkpoint.previous.pt"]
-
-    def test_of_a_replay(self, monkeypatch, capsys, complete):
-        """A complete run deletes it; here the last checkpoint is lost, too."""
+    def test_a_lost_replay_fails_in_the_words_of_the_script(self, monkeypatch, capsys):
+        words = ["--algorithms", "iql", "--seeds", 1]
+        assert campaign(monkeypatch, *words, "--results", "elsewhere") == 0
         directory = folder_of(0, "iql-shared")
         (directory / "checkpoint.previous.pt").replace(directory / "checkpoint.pt")
         (directory / "evaluations.csv").unlink()
-        self.reason = f"{(directory / 'replay.bin').resolve()} is gone, so this run cannot go on."
-        self.redone(monkeypatch, capsys, "iql")
+        assert campaign(monkeypatch, *words) == 1
+        assert "replay.bin is gone, so this run cannot go on." in capsys.readouterr().out
 
-    def test_twice_damaged_is_kept_twice(self, monkeypatch, complete):
-        for kept in ("seed0", "seed0-2"):
-            for path in complete.glob("checkpoint*.pt"):
-                path.write_bytes(b"damaged")
-            assert campaign(monkeypatch, "--seeds", 1, "--results", kept) == 0
-            assert (Path("runs-damaged/matrix-climbing/ia2c-shared") / kept / "config.json").exists()
-
-    def test_real_checkpoints_have_check_sums(self, tmp_path):
-        import torch
-
-        torch.save({"weights": torch.zeros(1000)}, tmp_path / "checkpoint.pt")
-        data = bytearray((tmp_path / "checkpoint.pt").read_bytes())
-        assert plan.is_whole(tmp_path / "checkpoint.pt")
-        data[data.find(bytes(1000)) + 500] = 1
-        (tmp_path / "checkpoint.pt").write_bytes(data)
-        assert not plan.is_whole(tmp_path / "checkpoint.pt")
+    def test_a_copy_without_checkpoints_is_complete(self, monkeypatch):
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        for path in folder_of(0).glob("*.pt"):
+            path.unlink()
+        logs = keep_logs(monkeypatch)
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert not logs and seeds_of("ia2c-shared") == {0: 20.0}
 
 
 class TestDamagedResults:
@@ -642,7 +628,7 @@ class TestTwoCampaigns:
     def test_a_run_in_use_is_left_alone(self, monkeypatch, capsys):
         directory = folder_of(1)
         directory.mkdir(parents=True)
-        with run.filelock.FileLock(directory / "lock"):
+        with campaigns.filelock.FileLock(directory / "lock"):
             assert campaign(monkeypatch, "--seeds", 2) == 1
         assert seeds_of("ia2c-shared") == {0: 20.0}
         assert "in use by another program: matrix-climbing ia2c-shared seed 1" in capsys.readouterr().out
@@ -650,10 +636,10 @@ class TestTwoCampaigns:
 
 class TestView:
     def test_progress_from_what_a_run_writes(self, tmp_path):
-        assert view.read_progress(tmp_path) == view.Progress()
-        (tmp_path / "config.json").write_text(json.dumps({"flags": {"total_timesteps": 200}}))
-        (tmp_path / "evaluations.csv").write_text("timestep,wall_seconds,return_mean\n0,0.1,1\n50,5.0,2.5\n")
-        assert view.read_progress(tmp_path) == view.Progress(0.25, 10.0, 2.5, 15.0)
+        for text in (None, "{}"):
+            if text:
+                (tmp_path / "progress.json").write_text(text)
+            assert view.read_progress(tmp_path) == view.Progress()
         said = {"timestep": 100, "total_timesteps": 200, "steps_per_second": 4.0, "training_return": 3.0}
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": None}))
         assert view.read_progress(tmp_path) == view.Progress(0.5, 4.0, 3.0, 25.0)
@@ -697,19 +683,19 @@ class TestView:
         text = said.decode()
         assert view.HEADER.split()[0] in text and "\x1b[A" in text and "the same command goes on" in text
         for name in names:
-            assert plan.is_whole(name / "checkpoint.pt")
-            assert not plan.log_path(plan_of(name)).exists()
+            assert is_whole(name / "checkpoint.pt")
+            assert not plan_of(name).log.exists()
 
 
 def plan_of(directory):
     """Some run that is kept in this directory."""
-    return plan.Run("ia2c", "matrix-climbing", True, 0, (), {}, 40, directory)
+    return plan.PlannedRun("ia2c", "matrix-climbing", True, 0, (), {}, 40, directory)
 
 
 class TestDryRun:
     def test_the_list_and_the_core_hours(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 1) == 0
-        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "measure", measured)
         steps = 36_000_000
         assert campaign(monkeypatch, "--seeds", 2, "--jobs", 2, "--dry-run") == 0
         said = capsys.readouterr().out
@@ -728,11 +714,13 @@ class TestDryRun:
         begun = folder_of(0, f"ia2c-shared-total-timesteps={steps}")
         begun.mkdir(parents=True)
         zipfile.ZipFile(begun / "checkpoint.pt", "w").close()
-        config = {"changed": {"total_timesteps": steps}, "flags": {"seed": 0}}
+        changed = {"total_timesteps": steps}
+        flags_of_run = {"env": "matrix-climbing", "parameter_sharing": True, "seed": 0} | changed
+        config = {"algorithm": "ia2c", "changed": changed, "flags": flags_of_run, "paper_timesteps": 40}
         progress = {"timestep": steps // 4, "total_timesteps": steps, "steps_per_second": 1.0, "training_return": 1.0}
         (begun / "config.json").write_text(json.dumps(config))
         (begun / "progress.json").write_text(json.dumps(progress | {"evaluation_return": None}))
-        monkeypatch.setattr(training, "measure", measured)
+        monkeypatch.setattr(run, "measure", measured)
         assert campaign(monkeypatch, *flags) == 0
         said = capsys.readouterr().out
         assert "seed 0: begun" in said and "10,000 steps/s, 0.75 core hours" in said
@@ -745,7 +733,7 @@ class TestDryRun:
 
 def measured(name, flags, seconds, timer):
     assert flags[:3] == ["--env", "matrix-climbing", "--parameter-sharing"]
-    return training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
+    return time_training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
 
 
 class TestRay:
@@ -776,7 +764,7 @@ class TestRay:
         """A signal stops a run, which comes back, is sent there again, and comes back once more, each time with its
         replay, however large that is. Then there are two runs on two nodes, one of which is killed: its run goes on
         elsewhere, from the checkpoint that came."""
-        import cluster
+        from campaign import cluster
 
         machines, second = nodes
         monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
@@ -792,7 +780,8 @@ class TestRay:
                 assert campaign(monkeypatch, *words) == 128 + signal.SIGTERM
                 stopper.join()
                 began.append(int(logs["log-seed0.txt"].split()[2]))
-                assert plan.is_whole(stopped / "checkpoint.pt") and not run.in_use(stopped)
+                assert is_whole(stopped / "checkpoint.pt") and not campaigns.in_use(stopped)
+                (stopped / "progress.json").unlink()
                 ray.shutdown()
         assert campaign(monkeypatch, *words[2:]) == 0  # it goes on without the cluster
         began.append(int(logs["log-seed0.txt"].split()[2]))
@@ -814,16 +803,62 @@ class TestRay:
         killer.join()
         assert seeds_of("ia2c-shared-pace=0.1") == {0: 20.0, 1: 20.0}
         said = capsys.readouterr().err
-        assert said.count("its node was lost, it goes on elsewhere") == 1
+        assert said.count("its node was lost; it goes on") == 1
         assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
         config = json.loads((directories[0] / "config.json").read_text())
         assert config["commit"] == cluster.commit_here()
-        assert not (directories[0] / "progress.json").exists() and not run.in_use(directories[0])
+        assert not (directories[0] / "progress.json").exists() and not campaigns.in_use(directories[0])
+
+    def test_a_lost_cluster_ends_it_in_a_sentence(self, tmp_path, nodes):
+        """Ray itself would wait a minute, and then end the process."""
+        machines, _ = nodes
+        process = subprocess.Popen(
+            driver(tmp_path, "--ray", machines.address, "--seeds", 1, "--", "--pace", "1"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        wait_for((folder_of(0, "ia2c-shared-pace=1.0") / "progress.json").exists)
+        for node in machines.list_all_nodes():
+            node.kill_all_processes(check_alive=False)
+        said, errors = process.communicate(timeout=45)
+        assert process.returncode == 1 and "0 of 1 runs are in" in said and "Traceback" not in errors
+        assert f"The Ray cluster at {machines.address} is lost" in said and "the same command goes on" in said
+
+    def test_what_a_killed_trainer_leaves_is_removed_by_the_next(self, monkeypatch, tmp_path):
+        """Its folder, and the training that it has started."""
+        from campaign import cluster
+
+        monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        (tmp_path / "tmp").mkdir()
+        program = """
+            import sys, time
+            sys.path.insert(0, sys.argv[1])
+            from pathlib import Path
+            from campaign import cluster, scripts
+            scripts.ALGOS = Path("algos")
+            trainer = cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {})
+            print(trainer.folder, trainer.process.pid, flush=True)
+            time.sleep(60)
+        """
+        command = [sys.executable, "-c", textwrap.dedent(program), BENCHMARK]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
+            folder, pid = killed.stdout.readline().split()
+            killed.kill()
+        trainers = [cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {}) for _ in range(2)]
+        try:
+            wait_for(lambda: not psutil.pid_exists(int(pid)) or psutil.Process(int(pid)).status() == "zombie")
+            assert not Path(folder).exists() and all(trainer.folder.exists() for trainer in trainers)
+        finally:
+            for trainer in trainers:
+                trainer.process.kill()
+                trainer.process.wait()
 
     @pytest.fixture
     def no_cluster(self, monkeypatch, ray):
         """Pieces of files that travel nowhere, three bytes each."""
-        import cluster
+        from campaign import cluster
 
         here = SimpleNamespace(put=bytes, get=bytes, exceptions=ray.exceptions)
         monkeypatch.setattr(cluster, "ray", here)
@@ -831,7 +866,7 @@ class TestRay:
         return here
 
     def test_files_take_the_place_of_others(self, tmp_path, no_cluster, ray):
-        import cluster
+        from campaign import cluster
 
         directory = tmp_path / "run"
         (directory / "wandb").mkdir(parents=True)
@@ -857,7 +892,7 @@ class TestRay:
         assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], "config.json": [b"old"]}
 
     def test_a_checkpoint_without_its_replay_stays(self, tmp_path, no_cluster):
-        import cluster
+        from campaign import cluster
 
         directory = tmp_path / "run"
         directory.mkdir()
@@ -868,7 +903,7 @@ class TestRay:
 
     def test_checkpoints_arrive_last(self, monkeypatch, tmp_path, no_cluster):
         """Cut short after any file, the directory has no checkpoint, or whole ones and all that they refer to."""
-        import cluster
+        from campaign import cluster
 
         order = []
         replace = Path.replace
@@ -887,7 +922,7 @@ class TestRay:
         assert order[2:] == [("checkpoint.previous.pt", []), ("checkpoint.pt", ["checkpoint.previous.pt"])]
 
     def test_a_checkpoint_that_changes_meanwhile_does_not_travel(self, tmp_path, no_cluster):
-        import cluster
+        from campaign import cluster
 
         directory = tmp_path / "run"
         directory.mkdir()
@@ -905,7 +940,7 @@ class TestRay:
 
     def test_a_run_that_cannot_begin_says_why(self, monkeypatch, capsys, nodes):
         """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
-        import cluster
+        from campaign import cluster
 
         monkeypatch.setattr(cluster, "pack", lambda: b"this is no zip file")
         assert campaign(monkeypatch, "--ray", nodes[0].address, "--seeds", 1) == 1

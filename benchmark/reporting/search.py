@@ -18,7 +18,7 @@ from typing import Any
 
 import pandas as pd
 
-from results import KEY, load, read_settings, setting_name, summarise
+from reporting.results import KEY, load, read_settings, setting_name, summarise
 
 SEEDS = 3
 NOT_SEARCHED = {"total_timesteps", "eval_points", "eval_episodes"}
@@ -54,7 +54,7 @@ def search_report(results: Path) -> str:
     for (task, algorithm, sharing, _), rows in ranked(evaluations).groupby(GROUP, sort=False):
         variants = [flags[task, algorithm, sharing, setting] for setting in rows["setting"]]
         title = f"### {algorithm} {'with' if sharing else 'without'} parameter sharing on {task}"
-        parts += [title, in_words(rows, variants, budgets[task, algorithm]), variants_table(rows, variants)]
+        parts += [title, in_sentences(rows, variants, budgets[task, algorithm]), variants_table(rows, variants)]
     return "\n\n".join(parts)
 
 
@@ -69,7 +69,7 @@ def searched_flags(variants: list[Flags]) -> list[str]:
     return [name for name in names if len({str(variant[name]) for variant in variants if name in variant}) > 1]
 
 
-def in_words(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) -> str:
+def in_sentences(rows: pd.DataFrame, variants: list[Flags], paper_timesteps: int) -> str:
     """How much was run, the winner, and where the paper's choice stands."""
     runs, steps = rows["seeds"].sum(), variants[0]["total_timesteps"]
     budget = f"{steps:,} timesteps" + ("" if steps == paper_timesteps else f" (the paper: {paper_timesteps:,})")

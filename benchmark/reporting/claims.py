@@ -19,8 +19,8 @@ from typing import Any
 
 import pandas as pd
 
-from results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_returns
-from tables import same_mean
+from reporting.results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_returns
+from reporting.tables import same_mean
 
 HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured yet"
 TASKS = tuple(dict.fromkeys(paper_returns()["task"]))
@@ -454,13 +454,13 @@ def qmix_competitive(view: View) -> Verdict:
 @claim("5.3", "In all environments except the matrix games, parameter sharing improves the normalised maximum returns.")
 def sharing_by_family(view: View) -> Verdict:
     def test(name: str) -> tuple[bool, str]:
-        shared, alone = sharing_means(view, [task for task in TASKS if family(task) == name])
+        shared, alone = means_with_and_without(view, [task for task in TASKS if family(task) == name])
         return (shared <= alone) if name == "matrix" else (shared > alone), f"{shared:.2f} with, {alone:.2f} without"
 
     return among(PAPER_FAMILIES, test, unit="families")
 
 
-def sharing_means(view: View, tasks: Iterable[str]) -> tuple[float, float]:
+def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, float]:
     """The means of the normalised maximum returns with and without sharing; normalised over both. Tasks on which all
     returns are equal do not count; where there are no others, both means are 0."""
     shared, alone = [], []
@@ -491,7 +491,7 @@ def sharing_smac(view: View) -> Verdict:
 
 @claim("5.3", "In LBF, sharing helps more in larger grids, where the reward is sparser.")
 def sharing_sparse(view: View) -> Verdict:
-    large, small = sharing_means(view, LARGE_LBF), sharing_means(view, SMALL_LBF)
+    large, small = means_with_and_without(view, LARGE_LBF), means_with_and_without(view, SMALL_LBF)
     gains = large[0] - large[1], small[0] - small[1]
     return Verdict(
         HOLDS if gains[0] > gains[1] else FAILS, "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
@@ -502,7 +502,7 @@ def sharing_sparse(view: View) -> Verdict:
 def sharing_rware(view: View) -> Verdict:
     gains = {}
     for task in RWARE:
-        shared, alone = sharing_means(view, [task])
+        shared, alone = means_with_and_without(view, [task])
         gains[task] = shared - alone
     simple = gains.pop("rware-tiny-4p")
     figures = ", ".join(f"{task} {gain:.2f}" for task, gain in gains.items())

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from results import KEY, PAPER_SETTING, family, paper_returns, paper_task
+from reporting.results import KEY, PAPER_SETTING, family, paper_returns, paper_task
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)

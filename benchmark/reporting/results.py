@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-HERE = Path(__file__).resolve().parent
+HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE / "results"
 PAPER = HERE / "paper"
 
@@ -245,7 +245,7 @@ def paper_returns() -> pd.DataFrame:
 
 
 def read_speeds(file: Path) -> pd.DataFrame:
-    """What `stepping.py --output` has written into a CSV so far. ValueError where the file holds something else."""
+    """What `time_stepping.py --output` has written into a CSV. ValueError where the file holds something else."""
     if not file.exists():
         return pd.DataFrame(columns=SPEED_COLUMNS)
     try:
@@ -254,14 +254,14 @@ def read_speeds(file: Path) -> pd.DataFrame:
             raise ValueError(f"its columns are not {', '.join(SPEED_COLUMNS)}")
         pd.to_numeric(table["steps_per_second"])
     except ValueError as error:
-        raise ValueError(f"{file} is not a table of stepping.py: {str(error).strip()}") from error
+        raise ValueError(f"{file} is not a table of time_stepping.py: {str(error).strip()}") from error
     return table
 
 
 def speeds(results: Path = RESULTS) -> pd.DataFrame:
     """Simulation speeds: task, family, whose ("the paper", "original package", "ours, num_envs=10"),
-    steps_per_second. Ours and the original packages' were written by `stepping.py --output`; the paper's are those of
-    the same tasks."""
+    steps_per_second. Ours and the original packages' are from `time_stepping.py --output`, the paper's of the same
+    tasks."""
     measured = read_speeds(results / "stepping.csv")
     paper = pd.read_csv(PAPER / "env_speed.csv")
     paper = paper.assign(whose="the paper", steps_per_second=10_000 / paper["seconds_per_10000_steps"])

@@ -1,13 +1,13 @@
 """Environment steps per CPU second with random actions, ours and the original package's beside it, on one thread.
 
-    python benchmark/stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2] [--output <csv>]
+    python benchmark/time_stepping.py [--tasks lbf-15x15-3p-5f ...] [--num-envs 1 10 100] [--seconds 2] [--output <csv>]
 
 One step is one action of every agent in one sub-environment, observations included; the actions are drawn beforehand,
 and episodes are reset when the time limit comes; steps of a sub-environment that has finished before do not count.
 In battles (smaclite, smac) masks change and episodes end early, so legal actions are drawn, and the finished are reset,
 as the game goes on; that is a part of the time. The column "paper" is the paper's own figure, from another machine.
 With --output the figures also go to a CSV, where they take the place of those of the same tasks. Pin it to a core:
-`taskset -c 0 python benchmark/stepping.py`.
+`taskset -c 0 python benchmark/time_stepping.py`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import pandas as pd
 import envs
 from envs import runs
 from envs.runs import one_sentence
-from results import PAPER, SPEED_COLUMNS, paper_task, read_speeds
+from reporting.results import PAPER, SPEED_COLUMNS, paper_task, read_speeds
 
 ACTIONS = 1000  # joint actions drawn beforehand
 TRIALS = 20  # episodes of each sub-environment that say how many steps they have

@@ -1,6 +1,6 @@
 """Training steps per second, on one thread, beside the reference passes measured in the same run.
 
-    taskset -c 0 python benchmark/training.py [--algorithms mappo ...] [--env <task>] [--seconds 20] [-- <flags>]
+    taskset -c 0 python benchmark/time_training.py [--algorithms mappo ...] [--env <task>] [--seconds 20] [-- <flags>]
 
 The loop is the script's own `train`, without evaluations and files. Reference passes: what plain PyTorch needs for the
 networks alone - forward and backward of each trained network on random inputs of a batch's size, as often as the
@@ -9,26 +9,26 @@ passes take turns, so that a noisy machine treats them alike. The parts of the l
 """
 
 import argparse
-import importlib.util
+import contextlib
+import io
 import math
 import statistics
-import sys
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 from envs import runs  # isort: skip (before PyTorch, as in the scripts)
 import torch
 from torch import nn
 
+from campaign.scripts import load_script, script_names
 from envs.runs import one_sentence
 
-ALGOS = Path(__file__).resolve().parent.parent / "algos"
 Timer = Callable[[], float]
 
 
@@ -45,22 +45,6 @@ class Plain(nn.Module):
         x = torch.relu(self.first(x))
         x = self.core(x)[0] if isinstance(self.core, nn.GRU) else torch.relu(self.core(x))
         return self.last(x)
-
-
-def script_names() -> list[str]:
-    """The algorithms: what lies in algos/ and has flags, but no modules that only help such scripts."""
-    paths = sorted(path for path in ALGOS.glob("*.py") if not path.name.startswith("."))  # an editor's lock file
-    return [path.stem for path in paths if "\nclass Args" in path.read_text(encoding="utf-8")]
-
-
-def load_script(name: str) -> ModuleType:
-    """algos/<name>.py as a module, made anew."""
-    spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its flags and their help are looked for
-    spec.loader.exec_module(module)
-    return module
 
 
 def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
@@ -102,7 +86,7 @@ def reference_passes(module: Any, args: Any, env: Any) -> Callable[[], None]:
     return passes
 
 
-class Clock:
+class TimedRun:
     """Stands for a script's Run: stops after some seconds, and lets the reference passes run between the batches."""
 
     def __init__(self, module: Any, seconds: float, path: Path, timer: Timer):
@@ -112,7 +96,7 @@ class Clock:
         self.reference_rates: list[float] = []
         self.updates = 0
 
-    def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "Clock":
+    def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "TimedRun":
         self.env, self.passes = env, reference_passes(self.module, args, env)
         self.end = self.timer() + self.seconds
         return self
@@ -185,10 +169,11 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
 
     module.envs.make_for = make_timed
     with tempfile.TemporaryDirectory() as directory:
-        clock = module.Run = Clock(module, seconds, Path(directory), timer)
-        module.train(args)
+        timed_run = module.Run = TimedRun(module, seconds, Path(directory), timer)
+        with contextlib.redirect_stderr(io.StringIO()):  # what a replay takes, which is cut here
+            module.train(args)
     module.envs.make_for = make
-    rate, reference = statistics.median(clock.rates), statistics.median(clock.reference_rates)
+    rate, reference = statistics.median(timed_run.rates), statistics.median(timed_run.reference_rates)
     acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])
     whole = acting + update

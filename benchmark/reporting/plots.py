@@ -26,9 +26,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter
 from PIL import Image, PngImagePlugin
 
-import aggregate
-from results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order, interval
-from tables import in_order
+from reporting import aggregate
+from reporting.results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order, interval
+from reporting.tables import in_order
 
 COLOURS = {
     "iql": "#999933",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from plan import Run, read_evaluations
+from campaign.plan import PlannedRun
 
 LINES_EVERY = 300  # seconds, where there is no terminal
 HEADER = f"{'task':<24} {'algorithm':<20} {'seed':>4} {'done':>5} {'steps/s':>9} {'return':>9} {'time left':>10}"
@@ -25,33 +25,27 @@ class Progress:
 
 
 def read_progress(directory: Path) -> Progress:
-    """How far the run in this directory is: its progress.json, or where there is none its evaluations."""
+    """How far the run in this directory is, by its progress.json."""
     try:
         said = json.loads((directory / "progress.json").read_text())
         timestep, budget, rate = said["timestep"], said["total_timesteps"], said["steps_per_second"]
         last = said["training_return"] if said["evaluation_return"] is None else said["evaluation_return"]
-    except (OSError, ValueError, KeyError, TypeError):
-        try:
-            budget = json.loads((directory / "config.json").read_text())["flags"]["total_timesteps"]
-            row = read_evaluations(directory)[-1]
-            timestep, last = int(row["timestep"]), float(row["return_mean"])
-            rate = timestep / max(float(row["wall_seconds"]), 1e-9)
-        except (OSError, ValueError, KeyError, TypeError, IndexError):
-            return Progress()
+    except (OSError, ValueError, KeyError):
+        return Progress()
     left = max(budget - timestep, 0) / rate if rate else None
     return Progress(min(timestep / budget, 1.0), rate or None, last, left)
 
 
-def table_row(run: Run, progress: Progress) -> str:
+def table_row(run: PlannedRun, progress: Progress) -> str:
     """A run's line in the table."""
     rate = "" if progress.steps_per_second is None else f"{progress.steps_per_second:,.0f}"
     last = "" if progress.last_return is None else f"{progress.last_return:,.2f}"
-    left = "" if progress.seconds_left is None else clock(progress.seconds_left)
+    left = "" if progress.seconds_left is None else duration(progress.seconds_left)
     name = f"{run.algorithm} {'shared' if run.sharing else 'independent'}"
     return f"{run.task:<24} {name:<20} {run.seed:>4} {progress.share:>5.0%} {rate:>9} {last:>9} {left:>10}"
 
 
-def clock(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Hours, minutes and seconds."""
     minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
@@ -67,7 +61,7 @@ class LineView:
         """Something happened."""
         print(message, file=sys.stderr, flush=True)
 
-    def show(self, runs: list[Run], summary: str) -> None:
+    def show(self, runs: list[PlannedRun], summary: str) -> None:
         """The runs that are being made, and how far the campaign is."""
         if time.monotonic() - self.last >= LINES_EVERY:
             self.last = time.monotonic()
@@ -90,7 +84,7 @@ class TableView:
         """Something happened."""
         tqdm.write(message, file=sys.stderr)
 
-    def show(self, runs: list[Run], summary: str) -> None:
+    def show(self, runs: list[PlannedRun], summary: str) -> None:
         """The runs that are being made, and how far the campaign is, once a second."""
         if time.monotonic() - self.last < 1:
             return

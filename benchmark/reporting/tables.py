@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
-from results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family, summarise
+from reporting.results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family, summarise
 
 SIGNIFICANCE = 0.05
 PRECISION = 0.01  # of what the paper prints

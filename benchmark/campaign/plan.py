@@ -1,9 +1,8 @@
-"""What a campaign is to run: the runs, the grids of flags, and what is left of a run that was begun before."""
+"""What a campaign is to run: the runs, the grids of flags, and what is there of a run already."""
 
 import csv
 import itertools
 import json
-import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import envs
-import training
-from envs.runs import changed_flags, is_whole, parse_flags
-from results import table_path
+from campaign import scripts
+from collect import NotComplete, read_run
+from envs.runs import changed_flags, parse_flags, script_hash
+from reporting.results import has_seed, read_json, table_path
 
 Flags = tuple[str, ...]
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
@@ -21,7 +21,7 @@ OF_THIS_PROGRAM = ["env", "parameter_sharing", "seed", "run_dir", "resume", "wat
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One run of a script.
 
     flags: for the script, beyond task, seed and sharing. changed: the flags that differ from the paper's, by name, as
@@ -44,6 +44,16 @@ class Run:
         """The script's command line, without its directory."""
         return ["--seed", str(self.seed), *script_flags(self.task, self.sharing, self.flags)]
 
+    def command(self, algos: Path, directory: Path) -> list[str]:
+        """The command that begins the run in this directory, or goes on with what is there."""
+        script_file = str(algos / f"{self.algorithm}.py")
+        return [sys.executable, script_file, *self.arguments(), "--run-dir", str(directory), "--resume"]
+
+    @property
+    def log(self) -> Path:
+        """Where its output goes: beside its directory, which belongs to the script."""
+        return self.directory.with_name(f"log-{self.directory.name}.txt")
+
 
 def script_flags(task: str, sharing: bool, flags: Flags) -> list[str]:
     """The flags that decide what a script trains, but for the seed."""
@@ -52,7 +62,7 @@ def script_flags(task: str, sharing: bool, flags: Flags) -> list[str]:
 
 def chosen_algorithms(words: list[str]) -> list[str]:
     """The scripts with these names; "all": every one. InputError for a name that is none."""
-    names = training.script_names()
+    names = scripts.script_names()
     for word in words:
         if word not in (*names, "all"):
             raise envs.InputError(f"unknown algorithm {word!r}; there are {', '.join(names)}.")
@@ -129,7 +139,7 @@ def make_plan(
     flags: Flags,
     grid: list[GridLine] | None,
     runs: Path,
-) -> list[Run]:
+) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""
     settings = []
     for task, algorithm, sharing in itertools.product(tasks, algorithms, sharings):
@@ -139,7 +149,7 @@ def make_plan(
             raise envs.InputError(f"the grid has no line for {algorithm} on tasks of the family {family}.")
         settings += [make_setting(algorithm, task, sharing, (*variant, *flags), runs) for variant in chosen]
     plan = [
-        Run(**setting, seed=seed, directory=folder / f"seed{seed}")
+        PlannedRun(**setting, seed=seed, directory=folder / f"seed{seed}")
         for seed in range(seeds)
         for setting, folder in settings
     ]
@@ -153,9 +163,11 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
         if word.startswith("--") and name in OF_THIS_PROGRAM:
             raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
     module: Any = script(algorithm)
-    words = script_flags(task, sharing, flags)
+    paper = args = module.paper_defaults(task, sharing)
     try:
-        args = parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
+        if flags:  # reading a command line takes a while
+            words = script_flags(task, sharing, flags)
+            args = parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
     except SystemExit:  # the script has said on stderr what is wrong
         raise envs.InputError(
             f"{algorithm} on {task} does not take the flags {' '.join(flags)}; algos/{algorithm}.py --help lists them"
@@ -163,8 +175,7 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
     if args.eval_points < 2:
-        raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
-    paper = module.paper_defaults(task, sharing)
+        raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before scripts.")
     changed = json.loads(json.dumps(changed_flags(args, paper)))  # as config.json has them: a tuple becomes a list
     setting = {
         "algorithm": algorithm,
@@ -180,98 +191,38 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
 def script(algorithm: str) -> Any:
     """algos/<algorithm>.py as a module, loaded once."""
     if algorithm not in SCRIPTS:
-        SCRIPTS[algorithm] = training.load_script(algorithm)
+        SCRIPTS[algorithm] = scripts.load_script(algorithm)
     return SCRIPTS[algorithm]
 
 
 SCRIPTS: dict[str, Any] = {}
 
 
-# --- what is there of a run ---
-class Damaged(Exception):
-    """A run directory that neither can be gone on with nor is complete; the message says why."""
+def in_results(run: PlannedRun, results: Path) -> bool:
+    """Whether a run has been collected. ValueError where its table is damaged, or of another text of its script."""
+    text = script_hash(scripts.ALGOS / f"{run.algorithm}.py")
+    return has_seed(results, run.algorithm, run.task, run.sharing, run.changed, run.seed, text)
 
 
-def condition(run: Run) -> str:
-    """What is there of a run: "new" (nothing to go on with), "begun", "complete". Raises Damaged.
+def condition(run: PlannedRun, results: Path) -> str:
+    """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new".
 
-    A script that goes on makes config.json and evaluations.csv again from its checkpoint, so these two may be damaged.
+    ValueError where its table of the results is damaged, or its directory holds a damaged or another run.
     """
-    checkpoints = list(run.directory.glob("checkpoint*.pt"))
-    if not any(is_whole(path) for path in checkpoints):
-        if not checkpoints and is_complete(run):  # a copy without them
-            return "complete"
-        cut_off = [path.name for path in checkpoints] == ["checkpoint.new.pt"]  # the very first, while it was written
-        if (checkpoints and not cut_off) or (run.directory / "evaluations.csv").exists():
-            raise Damaged("it has no checkpoint that can be read")
+    if in_results(run, results):
+        return "in the results"
+    if not (run.directory / "config.json").exists():
         return "new"
-    return "complete" if is_complete(run) else "begun"
-
-
-def check_same_flags(run: Run) -> None:
-    """ValueError where the directory holds a run with other flags, such as a shorter one that was made by hand.
-
-    Where config.json cannot be read, nothing is known yet: the script makes it again.
-    """
-    try:
-        config = json.loads((run.directory / "config.json").read_text())
-        there = config["changed"] | {"seed": config["flags"]["seed"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    wanted = run.changed | {"seed": run.seed}
+    config = read_json(run.directory / "config.json", {"seed": int})
+    there, wanted = config["changed"] | {"seed": config["flags"]["seed"]}, run.changed | {"seed": run.seed}
     different = sorted(name for name in there.keys() | wanted.keys() if there.get(name) != wanted.get(name))
     if different:
         raise ValueError(
             f"{run.directory} holds a run with another {', '.join(different)}: move it away, or keep the campaign's "
             "runs elsewhere with --runs"
         )
-
-
-def drop_damaged_checkpoints(run: Run) -> list[str]:
-    """Removes checkpoints whose check sums are wrong, so that the script takes the one before; gives their names.
-
-    Loading them would not always tell: PyTorch does not look at the check sums.
-    """
-    damaged = [path for path in run.directory.glob("checkpoint*.pt") if not is_whole(path)]
-    for path in damaged:
-        path.unlink()
-    return [path.name for path in damaged]
-
-
-def is_complete(run: Run) -> bool:
-    """Whether a run has all its evaluations, in order, and the settings that it was made with."""
     try:
-        config = json.loads((run.directory / "config.json").read_text())
-        rows = read_evaluations(run.directory)
-        points = [int(row["point"]) for row in rows]
-        budget, last = config["flags"]["total_timesteps"], int(rows[-1]["timestep"])
-    except (OSError, ValueError, KeyError, IndexError, TypeError):
-        return False
-    return points == list(range(len(points))) and last >= budget >= run.total_timesteps
-
-
-def read_evaluations(directory: Path) -> list[dict[str, str]]:
-    """The rows of evaluations.csv."""
-    with open(directory / "evaluations.csv", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def set_aside(run: Run, runs: Path) -> Path:
-    """Moves a run's directory out of the runs folder, to one beside it; gives the new place."""
-    folder = runs.with_name(f"{runs.name}-damaged") / run.directory.relative_to(runs)
-    places = itertools.chain([folder], (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(2)))
-    target = next(place for place in places if not place.exists())
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.move(run.directory, target)
-    return target
-
-
-def log_path(run: Run) -> Path:
-    """Where the output of a run goes: beside its directory, which belongs to the script."""
-    return run.directory.with_name(f"log-{run.directory.name}.txt")
-
-
-def command(run: Run, directory: Path, algos: Path) -> list[str]:
-    """The command that begins a run in this directory, or goes on with what is there."""
-    script_file = str(algos / f"{run.algorithm}.py")
-    return [sys.executable, script_file, *run.arguments(), "--run-dir", str(directory), "--resume"]
+        read_run(run.directory)
+    except NotComplete:
+        return "begun"
+    return "complete"

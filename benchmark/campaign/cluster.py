@@ -7,6 +7,8 @@ that of an interrupted run: one whose node is lost goes on from it on another no
 `Trainer` and what it calls live on the nodes, where the modules of benchmark/ are not: they are sent by value.
 """
 
+import contextlib
+import ctypes
 import functools
 import hashlib
 import io
@@ -22,7 +24,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,9 +33,10 @@ import filelock
 import ray
 
 import envs
-import training
+from campaign import scripts
+from campaign.campaign import ClusterLost
+from campaign.plan import PlannedRun
 from envs.runs import describe
-from plan import Run, log_path
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
@@ -41,6 +44,10 @@ LARGEST_REPLAY = 2**30  # bytes; a larger one comes back only when a run is stop
 PIECE = 2**26  # bytes of a file that travel at once; Ray moves pieces to its disk where they are too many
 STAYS = {"lock", "progress.json"}  # files that do not travel with the others
 Files = dict[str, list[ray.ObjectRef[bytes]]]  # by name, the pieces of each, which Ray keeps somewhere
+RUN_FOLDERS = "marl-baselines-run-"  # how their names begin
+PR_SET_PDEATHSIG = 1  # of Linux's prctl: the process gets this signal when its parent dies
+ANSWER_SECONDS = 10.0  # a cluster that does not answer for so long is lost
+COUNT_SECONDS = 5.0  # between two looks at how many cores the cluster has
 LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: a checkpoint refers to the others
 
 
@@ -92,7 +99,7 @@ def read_files(directory: Path, largest_replay: float = math.inf) -> Files:
 
 def write_files(directory: Path, files: Files) -> None:
     """Files that have arrived take the place of those that are there, the checkpoints last: where this is cut short,
-    the directory has none, and is known as damaged. A replay without a new one belongs to older checkpoints, and goes.
+    the directory has none, and its script says so. A replay without a new one belongs to older checkpoints, and goes.
     OSError on a full disk, RayError where pieces were lost with their node; both leave all as it was."""
     directory.mkdir(parents=True, exist_ok=True)
     arrived = {name: directory / f"{name}.new" for name in files}
@@ -112,11 +119,25 @@ def write_files(directory: Path, files: Files) -> None:
         arrived[name].replace(directory / name)
 
 
+def make_folder() -> tuple[Path, filelock.FileLock]:
+    """A new folder for a run, and the lock that holds it while its trainer lives; folders that nobody holds any more,
+    since their trainers were killed, are removed."""
+    there = Path(tempfile.gettempdir())
+    with filelock.FileLock(there / f"{RUN_FOLDERS}{os.getuid()}.lock"):
+        for old in there.glob(f"{RUN_FOLDERS}{os.getuid()}-*"):
+            with contextlib.suppress(filelock.Timeout), filelock.FileLock(old / "trainer", timeout=0):
+                shutil.rmtree(old, ignore_errors=True)
+        folder = Path(tempfile.mkdtemp(prefix=f"{RUN_FOLDERS}{os.getuid()}-"))
+        lock = filelock.FileLock(folder / "trainer")
+        lock.acquire()
+    return folder, lock
+
+
 class Trainer:
     """A run on a node: a process, and a directory that is gone when it has ended."""
 
     def __init__(self, code: bytes, algorithm: str, arguments: list[str], files: Files):
-        self.folder = Path(tempfile.mkdtemp(prefix="marl-baselines-run-"))
+        self.folder, self.lock = make_folder()
         self.directory, self.log = self.folder / "run", self.folder / "log.txt"
         self.sent = 0  # when the last checkpoint that was sent was made
         if files:
@@ -131,6 +152,7 @@ class Trainer:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=environment,
+                preexec_fn=functools.partial(ctypes.CDLL(None).prctl, PR_SET_PDEATHSIG, signal.SIGKILL),
             )
 
     def look(self, checkpoint: bool) -> dict[str, Any]:
@@ -162,7 +184,7 @@ def pack() -> bytes:
     """The scripts and environments of this checkout, as a zip file that is the same for the same files."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for folder, name in ((training.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
+        for folder, name in ((scripts.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
             for path in sorted(folder.rglob("*")):
                 if path.is_file() and "__pycache__" not in path.parts:
                     archive.writestr(zipfile.ZipInfo(f"{name}/{path.relative_to(folder)}"), path.read_bytes())
@@ -172,17 +194,18 @@ def pack() -> bytes:
 class RayJob:
     """A run on the cluster, whose directory here is locked meanwhile."""
 
-    def __init__(self, run: Run, begin: Callable[..., Any], commit: Any):
-        self.run, self.commit, self.lost = run, commit, False
+    def __init__(self, run: PlannedRun, cluster: "Connection"):
+        self.run, self.cluster, self.lost = run, cluster, False
         run.directory.mkdir(parents=True, exist_ok=True)
         self.lock = filelock.FileLock(run.directory / "lock")
         self.lock.acquire(timeout=0)
-        self.trainer = begin(run.algorithm, run.arguments(), read_files(run.directory))
+        self.trainer = cluster.begin(run.algorithm, run.arguments(), read_files(run.directory))
         self.seen, self.asked = self.trainer.look.remote(True), time.monotonic()
         self.began, self.stopping = False, False  # began: the cluster had a core for it
 
     def poll(self) -> int | None:
-        """The exit code, None while it goes on; keeps what has come back. OSError where it cannot be written."""
+        """The exit code, None while it goes on; keeps what has come back. OSError where it cannot be written,
+        ClusterLost."""
         if self.stopping and not self.began:
             return self.end(128 + signal.SIGTERM)
         if not ray.wait([self.seen], timeout=0)[0]:
@@ -199,6 +222,7 @@ class RayJob:
         except ray.exceptions.RayError as error:
             if isinstance(error, ray.exceptions.ActorDiedError) and error.actor_init_failed:
                 return self.end(1, str(error).encode())  # the same before the run could begin
+            self.cluster.check()
             self.lost = True
             return self.end(1)
         except OSError:
@@ -216,15 +240,16 @@ class RayJob:
         """The files of a run, its config.json naming the commit that was sent: a node has no checkout to ask."""
         if "config.json" not in files:
             return files
-        config = json.loads(b"".join(map(ray.get, files["config.json"]))) | {"commit": self.commit}
+        config = json.loads(b"".join(map(ray.get, files["config.json"]))) | {"commit": self.cluster.commit}
         return files | {"config.json": [ray.put(json.dumps(config, indent=2).encode())]}
 
     def end(self, code: int, log: bytes = b"") -> int:
         """Frees the core and the directory."""
         ray.kill(self.trainer)
-        (self.run.directory / "progress.json").unlink(missing_ok=True)
+        if code == 0:
+            (self.run.directory / "progress.json").unlink(missing_ok=True)
         if log:
-            log_path(self.run).write_bytes(log)
+            self.run.log.write_bytes(log)
         self.lock.release()
         return code
 
@@ -242,17 +267,39 @@ def commit_here() -> str | None:
     return commit
 
 
-def connect(address: str, jobs: int | None) -> tuple[Callable[[Run], RayJob], Callable[[], int]]:
-    """Joins a cluster: what makes a job of a run, and how many jobs there is room for (by default, the cores that the
-    cluster has at the moment). InputError where no cluster answers at this address."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    try:
-        if host:  # Ray itself would try for five minutes
-            socket.create_connection((host, int(port)), timeout=10).close()
-        ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
-    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: another version of Ray or Python
-        raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
-    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
-    start = functools.partial(RayJob, begin=begin, commit=commit_here())
-    return start, lambda: jobs or max(int(ray.cluster_resources().get("CPU", 0)), 1)
+class Connection:
+    """A cluster that was joined: what starts jobs on it, and says how many it has room for."""
+
+    def __init__(self, address: str, jobs: int | None):
+        """jobs: how many at most; None: as many as the cluster has cores. InputError where no cluster answers."""
+        host, _, port = address.removeprefix("ray://").rpartition(":")
+        try:
+            if host:  # Ray itself would try for five minutes
+                socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
+            ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+        except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: another version of Ray or Python
+            raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
+        if not host:
+            host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
+        self.address, self.jobs, self.commit = (host, int(port)), jobs, commit_here()
+        ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+        self.begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
+        self.cores, self.counted = 0, -math.inf
+
+    def check(self) -> None:
+        """Raises ClusterLost where it does not answer. Ray itself would wait a minute, and end this process."""
+        try:
+            socket.create_connection(self.address, ANSWER_SECONDS).close()
+        except OSError as error:
+            raise ClusterLost(f"The Ray cluster at {':'.join(map(str, self.address))} is lost: {error}.") from None
+
+    def start(self, run: PlannedRun) -> "RayJob":
+        """A job of the run."""
+        return RayJob(run, self)
+
+    def places(self) -> int:
+        """How many jobs there is room for. Raises ClusterLost."""
+        if time.monotonic() - self.counted > COUNT_SECONDS:
+            self.check()
+            self.cores, self.counted = int(ray.cluster_resources().get("CPU", 0)), time.monotonic()
+        return self.jobs or max(self.cores, 1)
