@@ -32,6 +32,8 @@ FULLY_OBSERVABLE = ("mpe-spread", "mpe-adversary", "mpe-tag", *(task for task in
 NOT_MATRIX = tuple(task for task in TASKS if task not in MATRIX)
 SPEAKER_LISTENER = "mpe-speaker-listener"
 INDEPENDENT = ("iql", "ia2c", "ippo")
+POLICY_GRADIENT = ("ia2c", "ippo", "maa2c", "mappo")
+FAMILIES_BUT_MATRIX = ("mpe", "smac", "rware", "lbf")
 MAJORITY, VAST_MAJORITY = 0.5, 0.75
 MOST_SHOWN = 4
 
@@ -112,352 +114,188 @@ class View:
         return self.value(algorithm, task) > self.value(other, task) and not self.same(algorithm, other, task)
 
 
-Test = Callable[[str], tuple[bool, str]]
-CLAIMS: list[tuple[str, str, Callable[[View], Verdict]]] = []
+Test = Callable[[View, str], tuple[bool, str]]  # whether a claim holds on a task, or in a family, and the figures
 
 
-def claim(place: str, sentence: str) -> Callable[[Callable[[View], Verdict]], Callable[[View], Verdict]]:
-    """Adds a function to the table of claims, with where the paper says what."""
-
-    def add(function: Callable[[View], Verdict]) -> Callable[[View], Verdict]:
-        CLAIMS.append((place, sentence, function))
-        return function
-
-    return add
-
-
-def among(tasks: Iterable[str], test: Test, needed: float = 1.0, unit: str = "tasks") -> Verdict:
+def among(view: View, tasks: Iterable[str], test: Test, needed: float = 1.0, unit: str = "tasks") -> Verdict:
     """Whether the test holds on enough of the tasks: all of them, or at least the needed share; MAJORITY is more than
-    half. It is decided as soon as the tasks that are not measured cannot change it. The test gives its figures too."""
+    half. It is decided as soon as the tasks that are not measured cannot change it."""
     tasks = list(tasks)
     enough = len(tasks) // 2 + 1 if needed == MAJORITY else math.ceil(needed * len(tasks))
-    yes: list[str] = []
-    no: list[str] = []
-    missing: list[str] = []
+    found: dict[bool, list[str]] = {True: [], False: []}
+    missing = 0
     for task in tasks:
         try:
-            holds, figures = test(task)
+            holds, figures = test(view, task)
         except NotMeasured:
-            missing.append(task)
+            missing += 1
         else:
-            (yes if holds else no).append(f"{task} ({figures})" if figures else task)
-    verdict = UNKNOWN
-    if len(yes) >= enough:
-        verdict = HOLDS
-    elif len(yes) + len(missing) < enough:
-        verdict = FAILS
-    parts = [f"{len(yes)} of {len(tasks)} {unit}" + (f", {len(missing)} not measured" if missing else "")]
+            found[bool(holds)].append(f"{task} ({figures})" if figures else task)
+    yes, no = found[True], found[False]
+    verdict = HOLDS if len(yes) >= enough else FAILS if len(yes) + missing < enough else UNKNOWN
+    parts = [f"{len(yes)} of {len(tasks)} {unit}" + (f", {missing} not measured" if missing else "")]
     if yes and len(tasks) <= MOST_SHOWN:
         parts.append(f"yes: {', '.join(yes)}")
     if no:
         parts.append(f"no: {', '.join(no[:MOST_SHOWN])}" + (", ..." if len(no) > MOST_SHOWN else ""))
-    return Verdict(verdict, "; ".join(parts) if len(missing) < len(tasks) else "")
+    return Verdict(verdict, "; ".join(parts) if missing < len(tasks) else "")
 
 
-def against(view: View, algorithms: Iterable[str], task: str) -> str:
-    """The algorithms' values on a task as text."""
+# --- tests of one task, by algorithms ---
+def values_text(view: View, algorithms: Iterable[str], task: str) -> str:
+    """The algorithms' values on a task."""
     return ", ".join(f"{name.upper()} {view.value(name, task):.2f}" for name in algorithms)
 
 
-def higher(view: View, algorithm: str, other: str) -> Test:
-    """A test: one algorithm's value is higher than another's."""
-    return lambda task: (
-        view.value(algorithm, task) > view.value(other, task),
-        against(view, (algorithm, other), task),
+def compares(holds: Callable[[View, str], bool], *algorithms: str) -> Test:
+    """A condition, shown with these algorithms' values."""
+    return lambda view, task: (holds(view, task), values_text(view, algorithms, task))
+
+
+def higher(algorithm: str, *others: str) -> Test:
+    """The first algorithm's value is higher than those of the others."""
+    return compares(
+        lambda view, task: all(view.value(algorithm, task) > view.value(other, task) for other in others),
+        *(algorithm, *others),
     )
 
 
-def at_least(view: View, algorithm: str, other: str) -> Test:
-    """A test: one algorithm's value is equal to or higher than another's."""
-    return lambda task: (
-        view.value(algorithm, task) >= view.value(other, task),
-        against(view, (algorithm, other), task),
-    )
+def at_least(algorithm: str, other: str) -> Test:
+    """One algorithm's value is equal to or higher than another's."""
+    return compares(lambda view, task: view.value(algorithm, task) >= view.value(other, task), algorithm, other)
 
 
-@claim("5.1", "IQL performs significantly worse than IA2C and IPPO in Speaker-Listener and in all RWARE tasks.")
-def iql_partially_observable(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        worse = all(view.beats(other, "iql", task) for other in ("ia2c", "ippo"))
-        return worse, against(view, INDEPENDENT, task)
-
-    return among([SPEAKER_LISTENER, *RWARE], test)
+def beats(winners: Iterable[str], losers: Iterable[str], *shown: str) -> Test:
+    """Each winner is significantly better than each loser; shown: in this order."""
+    pairs = [(winner, loser) for winner in winners for loser in losers]
+    return compares(lambda view, task: all(view.beats(*pair, task) for pair in pairs), *shown)
 
 
-@claim("5.1", "IQL is effective (here: competitive) in all LBF tasks but the three with the largest grids.")
-def iql_foraging(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
+def similar(*pairs: tuple[str, str]) -> Test:
+    """The algorithms of each pair are similar."""
+    names = [name for pair in pairs for name in pair]
+    return compares(lambda view, task: all(view.similar(*pair, task) for pair in pairs), *names)
+
+
+def competitive(algorithm: str, where: Iterable[str] = TASKS) -> Test:
+    """An algorithm is competitive in these tasks, and not in others."""
+
+    def test(view: View, task: str) -> tuple[bool, str]:
         best = max(view.values(task).values())
-        figures = f"IQL {view.value('iql', task):.2f}, best {best:.2f}"
-        return view.competitive("iql", task) == (task in SMALL_LBF), figures
+        figures = f"{algorithm.upper()} {view.value(algorithm, task):.2f}, best {best:.2f}"
+        return view.competitive(algorithm, task) == (task in where), figures
 
-    return among(LBF, test)
-
-
-@claim("5.1", "IQL achieves the best performance of all algorithms in 3s_vs_5z.")
-def iql_smac(view: View) -> Verdict:
-    return among(["smac-3s_vs_5z"], lambda task: best_of(view, task, ["iql"]))
+    return test
 
 
-@claim("5.1", "IQL performs competitively in the other SMAC tasks.")
-def iql_other_smac(view: View) -> Verdict:
-    others = [task for task in SMAC if task != "smac-3s_vs_5z"]
-    return among(others, lambda task: competitive_text(view, "iql", task))
+def best(algorithm: str) -> Test:
+    """An algorithm has the highest value of all."""
+
+    def test(view: View, task: str) -> tuple[bool, str]:
+        values = view.values(task)
+        highest = max(values, key=lambda name: values[name])
+        found = values[algorithm] == values[highest]
+        return found, values_text(view, [algorithm] if found else [algorithm, highest], task)
+
+    return test
 
 
-def best_of(view: View, task: str, algorithms: Iterable[str]) -> tuple[bool, str]:
-    """Whether one of the algorithms has the highest value of all, and the figures."""
+def centralised_above(view: View, task: str) -> tuple[bool, str]:
+    """The better of MAA2C and MAPPO is above IA2C and IPPO."""
+    centralised, independent = ("maa2c", "mappo"), ("ia2c", "ippo")
+    above, below = (max(view.value(name, task) for name in names) for names in (centralised, independent))
+    return above > below, values_text(view, (*centralised, *independent), task)
+
+
+def best_independent_competitive(view: View, task: str) -> tuple[bool, str]:
+    """The best of the independent learners is competitive."""
     values = view.values(task)
-    best = max(values, key=lambda name: values[name])
-    names = list(algorithms)
-    found = max(values[name] for name in names) == values[best]
-    return found, against(view, names if found else [*names, best], task)
+    own = max(INDEPENDENT, key=lambda name: values[name])
+    return view.competitive(own, task), f"{own.upper()} {values[own]:.2f}, best {max(values.values()):.2f}"
 
 
-@claim("5.1", "IA2C performs similarly to IPPO in the majority of tasks.")
-def ia2c_ippo(view: View) -> Verdict:
-    return among(
-        TASKS, lambda task: (view.similar("ia2c", "ippo", task), against(view, ("ia2c", "ippo"), task)), MAJORITY
-    )
+def both_improved(view: View, task: str) -> tuple[bool, str]:
+    """MAA2C is significantly better than IA2C, and MAPPO than IPPO."""
+    better = view.beats("maa2c", "ia2c", task) and view.beats("mappo", "ippo", task)
+    return better, values_text(view, ("maa2c", "ia2c", "mappo", "ippo"), task)
 
 
-@claim("5.1", "IA2C performs competitively compared to all algorithms with centralised training (in most tasks).")
-def ia2c_competitive(view: View) -> Verdict:
-    return among(TASKS, lambda task: competitive_text(view, "ia2c", task), MAJORITY)
+def no_learning(view: View, task: str) -> tuple[bool, str]:
+    """IQL, MADDPG, COMA, VDN and QMIX have less than a tenth of the best return."""
+    highest, algorithms = max(view.values(task).values()), ("iql", "maddpg", "coma", "vdn", "qmix")
+    low = all(view.value(name, task) < 0.1 * highest for name in algorithms)
+    return low, f"{values_text(view, algorithms, task)}, best {highest:.2f}"
 
 
-@claim("5.1", "IA2C achieves higher returns than IQL in all but two SMAC tasks.")
-def ia2c_iql(view: View) -> Verdict:
-    return among(SMAC, higher(view, "ia2c", "iql"), 3 / 5)
+def maddpg_worst(view: View, task: str) -> tuple[bool, str]:
+    """MADDPG is below all others but COMA."""
+    values = view.values(task)
+    lowest = min(value for name, value in values.items() if name not in ("maddpg", "coma"))
+    return values["maddpg"] < lowest, f"MADDPG {values['maddpg']:.2f}, lowest other {lowest:.2f}"
 
 
-@claim("5.1", "IA2C significantly outperforms COMA and MADDPG in the majority of the tasks.")
-def ia2c_coma_maddpg(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        beaten = all(view.beats("ia2c", other, task) for other in ("coma", "maddpg"))
-        return beaten, against(view, ("ia2c", "coma", "maddpg"), task)
+def maddpg_low(view: View, task: str) -> tuple[bool, str]:
+    """MADDPG has less than half of the best return."""
+    highest, own = max(view.values(task).values()), view.value("maddpg", task)
+    return own < highest / 2, f"MADDPG {own:.2f}, best {highest:.2f}"
 
-    return among(TASKS, test, MAJORITY)
 
+def coma_lowest(view: View, task: str) -> tuple[bool, str]:
+    """COMA is one of the two lowest."""
+    values = view.values(task)
+    lower = sum(value < values["coma"] for value in values.values())
+    return lower < 2 and values["coma"] < max(values.values()), f"COMA {values['coma']:.2f}, lower ones: {lower}"
 
-@claim("5.1", "IPPO in general performs competitively in all tasks (in the vast majority).")
-def ippo_competitive(view: View) -> Verdict:
-    return among(TASKS, lambda task: competitive_text(view, "ippo", task), VAST_MAJORITY)
 
+def decomposition_matches(view: View, task: str) -> tuple[bool, str]:
+    """VDN or QMIX is the best, or not significantly different from it."""
+    values = view.values(task)
+    highest = max(values, key=lambda name: values[name])
+    own = max(("vdn", "qmix"), key=lambda name: values[name])
+    matches = values[own] == values[highest] or view.same(own, highest, task)
+    return matches, values_text(view, dict.fromkeys((own, highest)), task)
 
-@claim(
-    "5.1",
-    "On average over training, IPPO achieves higher normalised returns than IA2C in MPE, SMAC and RWARE, lower in LBF.",
-)
-def ippo_ia2c_on_average(view: View) -> Verdict:
-    def mean(algorithm: str, tasks: tuple[str, ...]) -> float:
-        return sum(view.normalised(algorithm, task, "average_return") for task in tasks) / len(tasks)
 
-    def test(name: str) -> tuple[bool, str]:
-        tasks = tuple(task for task in TASKS if family(task) == name)
-        ippo, ia2c = mean("ippo", tasks), mean("ia2c", tasks)
-        return (ippo < ia2c) if name == "lbf" else (ippo > ia2c), f"IPPO {ippo:.2f}, IA2C {ia2c:.2f}"
+def decomposition_not_below_iql(view: View, task: str) -> tuple[bool, str]:
+    """The better of VDN and QMIX is not below IQL."""
+    own = max(view.value("vdn", task), view.value("qmix", task))
+    return own >= view.value("iql", task), values_text(view, ("vdn", "qmix", "iql"), task)
 
-    return among(("mpe", "smac", "rware", "lbf"), test, unit="families")
 
+def sharing_helps(view: View, task: str) -> tuple[bool, str]:
+    """Most algorithms are better with sharing."""
+    better = sum(view.value(name, task, True) > view.value(name, task, False) for name in ALGORITHMS)
+    return better > len(ALGORITHMS) / 2, f"{better} of 9 algorithms"
 
-@claim("5.1", "IPPO outperforms MAA2C in the RWARE tasks.")
-def ippo_maa2c(view: View) -> Verdict:
-    return among(RWARE, higher(view, "ippo", "maa2c"))
 
+# --- tests of one family ---
+def of_family(name: str) -> list[str]:
+    """The tasks of a family."""
+    return [task for task in TASKS if family(task) == name]
 
-@claim("5.1", "IPPO in general performs worse than MAPPO (outside the matrix games, where both are equal).")
-def ippo_mappo(view: View) -> Verdict:
-    return among(NOT_MATRIX, higher(view, "mappo", "ippo"), MAJORITY)
 
+def higher_on_average(algorithm: str, other: str, metric: str, lower_in: str = "") -> Test:
+    """One algorithm's mean normalised value over a family is above another's; in the family `lower_in`, below."""
 
-@claim(
-    "5.2",
-    "Centralised critics are valuable (the better of MAA2C and MAPPO is above IA2C and IPPO) in Speaker-Listener "
-    "and the harder SMAC tasks.",
-)
-def centralised_critics(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        centralised, independent = ("maa2c", "mappo"), ("ia2c", "ippo")
-        best, other = (max(view.value(name, task) for name in names) for names in (centralised, independent))
-        return best > other, against(view, (*centralised, *independent), task)
+    def test(view: View, name: str) -> tuple[bool, str]:
+        tasks = of_family(name)
+        one, two = (
+            sum(view.normalised(each, task, metric) for task in tasks) / len(tasks) for each in (algorithm, other)
+        )
+        return one < two if name == lower_in else one > two, f"{algorithm.upper()} {one:.2f}, {other.upper()} {two:.2f}"
 
-    return among([SPEAKER_LISTENER, *HARD_SMAC], test)
+    return test
 
 
-@claim(
-    "5.2", "Independent learning is competitive in the fully observable tasks of MPE and LBF (the majority of them)."
-)
-def independent_learning(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        values = view.values(task)
-        best = max(INDEPENDENT, key=lambda name: values[name])
-        return view.competitive(best, task), f"{best.upper()} {values[best]:.2f}, best {max(values.values()):.2f}"
+def competitive_only(algorithm: str, where: str, in_one_task: bool = False) -> Test:
+    """An algorithm is competitive in tasks (or one task) of one family, and in no other family."""
 
-    return among(FULLY_OBSERVABLE, test, MAJORITY)
+    def test(view: View, name: str) -> tuple[bool, str]:
+        found = [task for task in of_family(name) if view.competitive(algorithm, task)]
+        as_claimed = (len(found) == 1 if in_one_task else bool(found)) if name == where else not found
+        return as_claimed, ", ".join(found)
 
-
-@claim("5.2", "In most RWARE tasks MAA2C and MAPPO significantly improve upon IA2C and IPPO.")
-def centralised_in_rware(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        better = view.beats("maa2c", "ia2c", task) and view.beats("mappo", "ippo", task)
-        return better, against(view, ("maa2c", "ia2c", "mappo", "ippo"), task)
-
-    return among(RWARE, test, MAJORITY)
-
-
-@claim("5.2", "IQL, MADDPG, COMA, VDN and QMIX do not exhibit any learning in RWARE.")
-def no_learning_in_rware(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        best = max(view.values(task).values())
-        algorithms = ("iql", "maddpg", "coma", "vdn", "qmix")
-        low = all(view.value(name, task) < 0.1 * best for name in algorithms)
-        return low, f"{against(view, algorithms, task)}, best {best:.2f}"
-
-    return among(RWARE, test)
-
-
-@claim("5.2", "MADDPG performs worse than all other algorithms except COMA in the majority of the tasks.")
-def maddpg_worst(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        values = view.values(task)
-        others = [value for name, value in values.items() if name not in ("maddpg", "coma")]
-        return values["maddpg"] < min(others), f"MADDPG {values['maddpg']:.2f}, lowest other {min(others):.2f}"
-
-    return among(TASKS, test, MAJORITY)
-
-
-@claim("5.2", "MADDPG performs competitively only in some MPE tasks (and in the matrix games).")
-def maddpg_competitive(view: View) -> Verdict:
-    def test(name: str) -> tuple[bool, str]:
-        found = competitive_in(view, "maddpg", name)
-        return bool(found) == (name == "mpe"), ", ".join(found)
-
-    return among(("mpe", "smac", "rware", "lbf"), test, unit="families")
-
-
-def competitive_in(view: View, algorithm: str, name: str) -> list[str]:
-    """The tasks of a family in which an algorithm is competitive."""
-    return [task for task in TASKS if family(task) == name and view.competitive(algorithm, task)]
-
-
-@claim("5.2", "MADDPG exhibits very low returns (less than half of the best) in LBF and RWARE (most of the tasks).")
-def maddpg_low(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        best = max(view.values(task).values())
-        return view.value("maddpg", task) < best / 2, f"MADDPG {view.value('maddpg', task):.2f}, best {best:.2f}"
-
-    return among([*LBF, *RWARE], test, MAJORITY)
-
-
-@claim("5.2", "COMA exhibits one of the lowest performances (one of the two lowest) in most tasks.")
-def coma_lowest(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        values = view.values(task)
-        lower = sum(value < values["coma"] for value in values.values())
-        return lower < 2 and values["coma"] < max(values.values()), f"COMA {values['coma']:.2f}, lower ones: {lower}"
-
-    return among(TASKS, test, MAJORITY)
-
-
-@claim("5.2", "COMA performs competitively only in one SMAC task (and in the matrix games).")
-def coma_competitive(view: View) -> Verdict:
-    def test(name: str) -> tuple[bool, str]:
-        found = competitive_in(view, "coma", name)
-        return len(found) == (1 if name == "smac" else 0), ", ".join(found)
-
-    return among(("mpe", "smac", "rware", "lbf"), test, unit="families")
-
-
-@claim("5.2", "In Speaker-Listener, COMA fails to find the local optimum with a return of about -17.")
-def coma_speaker_listener(view: View) -> Verdict:
-    return among([SPEAKER_LISTENER], lambda task: (view.value("coma", task) < -17, against(view, ["coma"], task)))
-
-
-@claim("5.2", "MAA2C performs competitively in the majority of the tasks.")
-def maa2c_competitive(view: View) -> Verdict:
-    return among(TASKS, lambda task: competitive_text(view, "maa2c", task), MAJORITY)
-
-
-def competitive_text(view: View, algorithm: str, task: str) -> tuple[bool, str]:
-    """Whether an algorithm is competitive, and the figures."""
-    best = max(view.values(task).values())
-    return view.competitive(algorithm, task), f"{algorithm.upper()} {view.value(algorithm, task):.2f}, best {best:.2f}"
-
-
-@claim("5.2", "MAA2C achieves slightly higher returns than MAPPO in MPE and LBF (the mean of the normalised maxima).")
-def maa2c_higher(view: View) -> Verdict:
-    def test(name: str) -> tuple[bool, str]:
-        tasks = [task for task in TASKS if family(task) == name]
-        maa2c, mappo = (sum(view.normalised(each, task) for task in tasks) / len(tasks) for each in ("maa2c", "mappo"))
-        return maa2c > mappo, f"MAA2C {maa2c:.2f}, MAPPO {mappo:.2f}"
-
-    return among(("mpe", "lbf"), test, unit="families")
-
-
-@claim("5.2", "MAA2C achieves significantly lower returns than MAPPO in most SMAC and RWARE tasks.")
-def maa2c_lower(view: View) -> Verdict:
-    test = beats_text(view, "mappo", "maa2c")
-    return among([*SMAC, *RWARE], test, MAJORITY)
-
-
-def beats_text(view: View, algorithm: str, other: str) -> Test:
-    """A test: one algorithm is significantly better than another."""
-    return lambda task: (view.beats(algorithm, other, task), against(view, (algorithm, other), task))
-
-
-@claim("5.2", "MAPPO achieves high returns (is competitive) in the vast majority of tasks.")
-def mappo_competitive(view: View) -> Verdict:
-    return among(TASKS, lambda task: competitive_text(view, "mappo", task), VAST_MAJORITY)
-
-
-@claim("5.2", "MAPPO's returns in RWARE exceed those of all other algorithms.")
-def mappo_rware(view: View) -> Verdict:
-    return among(RWARE, lambda task: best_of(view, task, ["mappo"]))
-
-
-@claim("5.2", "Except in RWARE, VDN or QMIX outperforms or matches the best other algorithm in the majority of tasks.")
-def decomposition_matches(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        values = view.values(task)
-        best = max(values, key=lambda name: values[name])
-        own = max(("vdn", "qmix"), key=lambda name: values[name])
-        matches = values[own] == values[best] or view.same(own, best, task)
-        return matches, against(view, dict.fromkeys((own, best)), task)
-
-    return among((*MATRIX, *MPE, *SMAC, *LBF), test, MAJORITY)
-
-
-@claim("5.2", "VDN and QMIX perform similarly in most SMAC tasks and across LBF (most of the tasks of both).")
-def vdn_qmix_similar(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        return view.similar("vdn", "qmix", task), against(view, ("vdn", "qmix"), task)
-
-    return among([*SMAC, *LBF], test, MAJORITY)
-
-
-@claim("5.2", "VDN and QMIX differ most in MPE (the mean difference of normalised maxima by family).")
-def vdn_qmix_mpe(view: View) -> Verdict:
-    apart = {}
-    for name, tasks in (("mpe", MPE), ("smac", SMAC), ("lbf", LBF), ("rware", RWARE)):
-        gaps = [abs(view.normalised("vdn", task) - view.normalised("qmix", task)) for task in tasks]
-        apart[name] = sum(gaps) / len(gaps)
-    figures = ", ".join(f"{name} {gap:.2f}" for name, gap in apart.items())
-    return Verdict(HOLDS if apart["mpe"] == max(apart.values()) else FAILS, figures)
-
-
-@claim("5.2", "QMIX achieves consistently high returns (is competitive) across almost all tasks.")
-def qmix_competitive(view: View) -> Verdict:
-    return among(TASKS, lambda task: competitive_text(view, "qmix", task), VAST_MAJORITY)
-
-
-@claim("5.3", "In all environments except the matrix games, parameter sharing improves the normalised maximum returns.")
-def sharing_by_family(view: View) -> Verdict:
-    def test(name: str) -> tuple[bool, str]:
-        shared, alone = means_with_and_without(view, [task for task in TASKS if family(task) == name])
-        return (shared <= alone) if name == "matrix" else (shared > alone), f"{shared:.2f} with, {alone:.2f} without"
-
-    return among(PAPER_FAMILIES, test, unit="families")
+    return test
 
 
 def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, float]:
@@ -473,106 +311,176 @@ def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, flo
     return sum(shared) / max(len(shared), 1), sum(alone) / max(len(alone), 1)
 
 
-def sharing_helps(view: View, task: str) -> tuple[bool, str]:
-    """Whether most algorithms are better with sharing on a task."""
-    better = sum(view.value(name, task, True) > view.value(name, task, False) for name in ALGORITHMS)
-    return better > len(ALGORITHMS) / 2, f"{better} of 9 algorithms"
+def sharing_improves(view: View, name: str) -> tuple[bool, str]:
+    """The mean is higher with sharing; in the matrix games it is not."""
+    shared, alone = means_with_and_without(view, of_family(name))
+    return (shared <= alone) if name == "matrix" else (shared > alone), f"{shared:.2f} with, {alone:.2f} without"
 
 
-@claim("5.3", "Sharing improves most algorithms in Speaker-Listener and Tag.")
-def sharing_mpe(view: View) -> Verdict:
-    return among((SPEAKER_LISTENER, "mpe-tag"), lambda task: sharing_helps(view, task))
+# --- claims that compare tasks or families ---
+def vdn_qmix_mpe(view: View) -> Verdict:
+    """By the mean difference of the normalised maxima."""
+    apart = {}
+    for name in ("mpe", "smac", "lbf", "rware"):
+        gaps = [abs(view.normalised("vdn", task) - view.normalised("qmix", task)) for task in of_family(name)]
+        apart[name] = sum(gaps) / len(gaps)
+    figures = ", ".join(f"{name} {gap:.2f}" for name, gap in apart.items())
+    return Verdict(HOLDS if apart["mpe"] == max(apart.values()) else FAILS, figures)
 
 
-@claim("5.3", "Sharing improves the returns (of most algorithms) in the harder SMAC tasks.")
-def sharing_smac(view: View) -> Verdict:
-    return among(HARD_SMAC, lambda task: sharing_helps(view, task))
-
-
-@claim("5.3", "In LBF, sharing helps more in larger grids, where the reward is sparser.")
 def sharing_sparse(view: View) -> Verdict:
+    """In LBF."""
     large, small = means_with_and_without(view, LARGE_LBF), means_with_and_without(view, SMALL_LBF)
     gains = large[0] - large[1], small[0] - small[1]
-    return Verdict(
-        HOLDS if gains[0] > gains[1] else FAILS, "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
-    )
+    figures = "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
+    return Verdict(HOLDS if gains[0] > gains[1] else FAILS, figures)
 
 
-@claim("5.3", "In RWARE, sharing helps more with fewer agents, or in a larger warehouse, than in tiny-4p.")
 def sharing_rware(view: View) -> Verdict:
-    gains = {}
-    for task in RWARE:
-        shared, alone = means_with_and_without(view, [task])
-        gains[task] = shared - alone
+    """In RWARE."""
+    means = {task: means_with_and_without(view, [task]) for task in RWARE}
+    gains = {task: shared - alone for task, (shared, alone) in means.items()}
     simple = gains.pop("rware-tiny-4p")
     figures = ", ".join(f"{task} {gain:.2f}" for task, gain in gains.items())
     verdict = HOLDS if min(gains.values()) > simple else FAILS
     return Verdict(verdict, f"gains: {figures}, rware-tiny-4p {simple:.2f}")
 
 
-@claim("6", "IA2C and IPPO achieve higher returns than IQL in the majority of the tasks (outside the matrix games).")
-def on_policy_independent(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        iql = view.value("iql", task)
-        return all(view.value(name, task) > iql for name in ("ia2c", "ippo")), against(view, INDEPENDENT, task)
-
-    return among(NOT_MATRIX, test, MAJORITY)
+def on(tasks: Iterable[str], test: Test, needed: float = 1.0, unit: str = "tasks") -> Callable[[View], Verdict]:
+    """A claim that a test holds on tasks or families; see `among`."""
+    return lambda view: among(view, tasks, test, needed, unit)
 
 
-@claim("6", "MAA2C achieves equal or higher returns than IA2C in the majority of the tasks.")
-def maa2c_ia2c(view: View) -> Verdict:
-    return among(TASKS, at_least(view, "maa2c", "ia2c"), MAJORITY)
-
-
-@claim("6", "MAA2C is significantly better than IA2C in the RWARE tasks with four agents.")
-def maa2c_four_agents(view: View) -> Verdict:
-    return among([task for task in RWARE if "4p" in task], beats_text(view, "maa2c", "ia2c"))
-
-
-@claim("6", "MAA2C and IA2C are similar in RWARE tiny-2p.")
-def maa2c_two_agents(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        return view.similar("maa2c", "ia2c", task), against(view, ("maa2c", "ia2c"), task)
-
-    return among(["rware-tiny-2p"], test)
-
-
-@claim("6", "IA2C and MAA2C, IPPO and MAPPO have similar returns in fully observable tasks (most of MPE and LBF).")
-def same_information(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        pairs = (("ia2c", "maa2c"), ("ippo", "mappo"))
-        return all(view.similar(*pair, task) for pair in pairs), against(view, (*pairs[0], *pairs[1]), task)
-
-    return among(FULLY_OBSERVABLE, test, MAJORITY)
-
-
-@claim("6", "Value decomposition improves upon IQL across most tasks (the better of VDN and QMIX is not below IQL).")
-def decomposition_iql(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        best = max(view.value("vdn", task), view.value("qmix", task))
-        return best >= view.value("iql", task), against(view, ("vdn", "qmix", "iql"), task)
-
-    return among(TASKS, test, MAJORITY)
-
-
-@claim("6", "QMIX is better than VDN in Speaker-Listener and Tag.")
-def qmix_mpe(view: View) -> Verdict:
-    return among((SPEAKER_LISTENER, "mpe-tag"), higher(view, "qmix", "vdn"))
-
-
-@claim("6", "QMIX is not above VDN in most LBF tasks.")
-def qmix_lbf(view: View) -> Verdict:
-    return among(LBF, at_least(view, "vdn", "qmix"), MAJORITY)
-
-
-@claim("6", "VDN and QMIX are significantly worse than IA2C, IPPO, MAA2C and MAPPO in RWARE.")
-def decomposition_rware(view: View) -> Verdict:
-    def test(task: str) -> tuple[bool, str]:
-        policy_gradient = ("ia2c", "ippo", "maa2c", "mappo")
-        worse = all(view.beats(one, other, task) for one in policy_gradient for other in ("vdn", "qmix"))
-        return worse, against(view, ("vdn", "qmix", *policy_gradient), task)
-
-    return among(RWARE, test)
+# By section, what the paper says, and whether it holds in a set of results
+SECTIONS: dict[str, dict[str, Callable[[View], Verdict]]] = {
+    "5.1": {
+        "IQL performs significantly worse than IA2C and IPPO in Speaker-Listener and in all RWARE tasks.": on(
+            [SPEAKER_LISTENER, *RWARE], beats(["ia2c", "ippo"], ["iql"], *INDEPENDENT)
+        ),
+        "IQL is effective (here: competitive) in all LBF tasks but the three with the largest grids.": on(
+            LBF, competitive("iql", SMALL_LBF)
+        ),
+        "IQL achieves the best performance of all algorithms in 3s_vs_5z.": on(["smac-3s_vs_5z"], best("iql")),
+        "IQL performs competitively in the other SMAC tasks.": on(
+            [task for task in SMAC if task != "smac-3s_vs_5z"], competitive("iql")
+        ),
+        "IA2C performs similarly to IPPO in the majority of tasks.": on(TASKS, similar(("ia2c", "ippo")), MAJORITY),
+        "IA2C performs competitively compared to all algorithms with centralised training (in most tasks).": on(
+            TASKS, competitive("ia2c"), MAJORITY
+        ),
+        "IA2C achieves higher returns than IQL in all but two SMAC tasks.": on(SMAC, higher("ia2c", "iql"), 3 / 5),
+        "IA2C significantly outperforms COMA and MADDPG in the majority of the tasks.": on(
+            TASKS, beats(["ia2c"], ["coma", "maddpg"], "ia2c", "coma", "maddpg"), MAJORITY
+        ),
+        "IPPO in general performs competitively in all tasks (in the vast majority).": on(
+            TASKS, competitive("ippo"), VAST_MAJORITY
+        ),
+        (
+            "On average over training, IPPO achieves higher normalised returns than IA2C in MPE, SMAC and RWARE, "
+            "lower in LBF."
+        ): on(
+            FAMILIES_BUT_MATRIX, higher_on_average("ippo", "ia2c", "average_return", lower_in="lbf"), unit="families"
+        ),
+        "IPPO outperforms MAA2C in the RWARE tasks.": on(RWARE, higher("ippo", "maa2c")),
+        "IPPO in general performs worse than MAPPO (outside the matrix games, where both are equal).": on(
+            NOT_MATRIX, higher("mappo", "ippo"), MAJORITY
+        ),
+    },
+    "5.2": {
+        (
+            "Centralised critics are valuable (the better of MAA2C and MAPPO is above IA2C and IPPO) in "
+            "Speaker-Listener and the harder SMAC tasks."
+        ): on([SPEAKER_LISTENER, *HARD_SMAC], centralised_above),
+        "Independent learning is competitive in the fully observable tasks of MPE and LBF (the majority of them).": on(
+            FULLY_OBSERVABLE, best_independent_competitive, MAJORITY
+        ),
+        "In most RWARE tasks MAA2C and MAPPO significantly improve upon IA2C and IPPO.": on(
+            RWARE, both_improved, MAJORITY
+        ),
+        "IQL, MADDPG, COMA, VDN and QMIX do not exhibit any learning in RWARE.": on(RWARE, no_learning),
+        "MADDPG performs worse than all other algorithms except COMA in the majority of the tasks.": on(
+            TASKS, maddpg_worst, MAJORITY
+        ),
+        "MADDPG performs competitively only in some MPE tasks (and in the matrix games).": on(
+            FAMILIES_BUT_MATRIX, competitive_only("maddpg", "mpe"), unit="families"
+        ),
+        "MADDPG exhibits very low returns (less than half of the best) in LBF and RWARE (most of the tasks).": on(
+            [*LBF, *RWARE], maddpg_low, MAJORITY
+        ),
+        "COMA exhibits one of the lowest performances (one of the two lowest) in most tasks.": on(
+            TASKS, coma_lowest, MAJORITY
+        ),
+        "COMA performs competitively only in one SMAC task (and in the matrix games).": on(
+            FAMILIES_BUT_MATRIX, competitive_only("coma", "smac", in_one_task=True), unit="families"
+        ),
+        "In Speaker-Listener, COMA fails to find the local optimum with a return of about -17.": on(
+            [SPEAKER_LISTENER], compares(lambda view, task: view.value("coma", task) < -17, "coma")
+        ),
+        "MAA2C performs competitively in the majority of the tasks.": on(TASKS, competitive("maa2c"), MAJORITY),
+        "MAA2C achieves slightly higher returns than MAPPO in MPE and LBF (the mean of the normalised maxima).": on(
+            ("mpe", "lbf"), higher_on_average("maa2c", "mappo", "max_return"), unit="families"
+        ),
+        "MAA2C achieves significantly lower returns than MAPPO in most SMAC and RWARE tasks.": on(
+            [*SMAC, *RWARE], beats(["mappo"], ["maa2c"], "mappo", "maa2c"), MAJORITY
+        ),
+        "MAPPO achieves high returns (is competitive) in the vast majority of tasks.": on(
+            TASKS, competitive("mappo"), VAST_MAJORITY
+        ),
+        "MAPPO's returns in RWARE exceed those of all other algorithms.": on(RWARE, best("mappo")),
+        "Except in RWARE, VDN or QMIX outperforms or matches the best other algorithm in the majority of tasks.": on(
+            (*MATRIX, *MPE, *SMAC, *LBF), decomposition_matches, MAJORITY
+        ),
+        "VDN and QMIX perform similarly in most SMAC tasks and across LBF (most of the tasks of both).": on(
+            [*SMAC, *LBF], similar(("vdn", "qmix")), MAJORITY
+        ),
+        "VDN and QMIX differ most in MPE (the mean difference of normalised maxima by family).": vdn_qmix_mpe,
+        "QMIX achieves consistently high returns (is competitive) across almost all tasks.": on(
+            TASKS, competitive("qmix"), VAST_MAJORITY
+        ),
+    },
+    "5.3": {
+        "In all environments except the matrix games, parameter sharing improves the normalised maximum returns.": on(
+            PAPER_FAMILIES, sharing_improves, unit="families"
+        ),
+        "Sharing improves most algorithms in Speaker-Listener and Tag.": on(
+            (SPEAKER_LISTENER, "mpe-tag"), sharing_helps
+        ),
+        "Sharing improves the returns (of most algorithms) in the harder SMAC tasks.": on(HARD_SMAC, sharing_helps),
+        "In LBF, sharing helps more in larger grids, where the reward is sparser.": sharing_sparse,
+        "In RWARE, sharing helps more with fewer agents, or in a larger warehouse, than in tiny-4p.": sharing_rware,
+    },
+    "6": {
+        "IA2C and IPPO achieve higher returns than IQL in the majority of the tasks (outside the matrix games).": on(
+            NOT_MATRIX,
+            compares(
+                lambda view, task: view.value("iql", task) < min(view.value("ia2c", task), view.value("ippo", task)),
+                *INDEPENDENT,
+            ),
+            MAJORITY,
+        ),
+        "MAA2C achieves equal or higher returns than IA2C in the majority of the tasks.": on(
+            TASKS, at_least("maa2c", "ia2c"), MAJORITY
+        ),
+        "MAA2C is significantly better than IA2C in the RWARE tasks with four agents.": on(
+            [task for task in RWARE if "4p" in task], beats(["maa2c"], ["ia2c"], "maa2c", "ia2c")
+        ),
+        "MAA2C and IA2C are similar in RWARE tiny-2p.": on(["rware-tiny-2p"], similar(("maa2c", "ia2c"))),
+        "IA2C and MAA2C, IPPO and MAPPO have similar returns in fully observable tasks (most of MPE and LBF).": on(
+            FULLY_OBSERVABLE, similar(("ia2c", "maa2c"), ("ippo", "mappo")), MAJORITY
+        ),
+        "Value decomposition improves upon IQL across most tasks (the better of VDN and QMIX is not below IQL).": on(
+            TASKS, decomposition_not_below_iql, MAJORITY
+        ),
+        "QMIX is better than VDN in Speaker-Listener and Tag.": on(
+            (SPEAKER_LISTENER, "mpe-tag"), higher("qmix", "vdn")
+        ),
+        "QMIX is not above VDN in most LBF tasks.": on(LBF, at_least("vdn", "qmix"), MAJORITY),
+        "VDN and QMIX are significantly worse than IA2C, IPPO, MAA2C and MAPPO in RWARE.": on(
+            RWARE, beats(POLICY_GRADIENT, ["vdn", "qmix"], "vdn", "qmix", *POLICY_GRADIENT)
+        ),
+    },
+}
+CLAIMS = [(place, sentence, holds) for place, claims in SECTIONS.items() for sentence, holds in claims.items()]
 
 
 def judge(cells: pd.DataFrame) -> list[Verdict]:

@@ -12,6 +12,7 @@
 The names are for people; programs read the JSON. A seed counts once the JSON lists it, so the CSV is written first.
 """
 
+import functools
 import hashlib
 import io
 import itertools
@@ -23,6 +24,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+
+import envs
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE / "results"
@@ -45,9 +48,13 @@ PARTS = {
 LONGEST_NAME = 200  # file systems stop at 255
 
 
+@functools.cache
 def family(task: str) -> str:
-    """The paper's family of a task, which is how its name begins; "other" where the paper has none like it."""
-    return next((name for name in PAPER_FAMILIES if task.startswith(name)), "other")
+    """The paper's family of a task, whose budgets and hyperparameters it takes; "other" where it is of none."""
+    try:
+        return envs.task(task).family or "other"
+    except envs.InputError:  # a name of another version
+        return "other"
 
 
 def algorithm_order(algorithms: Iterable[str]) -> list[str]:
