@@ -6,6 +6,9 @@ Runs are found by their config.json, anywhere below the folder. A run is complet
 budget. What the results hold already stays: a seed with other numbers is refused, or takes the old one's place with
 --replace. All seeds of a table have equally many evaluations, and for an algorithm of one's own the same script: a run
 that was lengthened keeps its old distances, and may not fit. `reporting/results.py` says what the tables hold.
+
+Of the runs that go into benchmark/results/, the last team of each task's best algorithm (seed 0, with sharing, by the
+return at the last evaluation) is kept in benchmark/teams/<task>/, where --watch and `load` find it.
 """
 
 import argparse
@@ -173,7 +176,7 @@ def main() -> None:
     directories = sorted(run_directories(args.runs))
     if not directories:
         parser.error(f"there are no runs in {args.runs}")
-    wrong = False
+    wrong, collected = False, []
     for directory in directories:
         try:
             table_file = collect_run(directory, args.results, args.replace)
@@ -182,6 +185,14 @@ def main() -> None:
             wrong |= not isinstance(error, NotComplete)
         else:
             print(f"{directory}: in {table_file}")
+            collected.append(directory)
+    if collected and args.results == RESULTS:
+        from campaign import teams  # imports PyTorch
+
+        returns = teams.last_returns()
+        kept = {teams.keep_team(directory, returns): directory for directory in collected}
+        for place in filter(None, kept):
+            print(f"{kept[place]}: its team is in {place}")
     if wrong:
         sys.exit(2)
 

@@ -51,8 +51,10 @@ def write_whole(path: Path, text: str) -> None:
 def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:
     """The last whole checkpoint of an algorithm's run. Raises InputError where a directory has none."""
     saved = last_checkpoint(directory)
-    if saved is None or saved["config"]["algorithm"] != algorithm:
-        raise InputError(f"{directory} holds no checkpoint of {algorithm}.")
+    if saved is None:
+        raise InputError(f"{directory} holds no checkpoint.")
+    if saved["config"]["algorithm"] != algorithm:
+        raise InputError(f"{directory} holds a run of {saved['config']['algorithm']}.py, not of {algorithm}.py.")
     return saved
 
 
