@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -906,18 +907,20 @@ def test_few_seeds_are_said_of_the_claims_that_have_them():
 
 
 def test_a_claim_is_decided_once_missing_tasks_cannot_change_it():
+    nobody: Any = None
+
     def test(view, task):
         if task == "missing":
             raise claims.NotMeasured
         return task == "yes", ""
 
-    assert claims.among(None, ["yes", "yes", "missing"], test).verdict == claims.UNKNOWN
-    assert claims.among(None, ["no", "missing"], test).verdict == claims.FAILS
-    assert claims.among(None, ["yes", "yes", "missing"], test, claims.MAJORITY).verdict == claims.HOLDS
-    assert claims.among(None, ["yes", "no", "missing"], test, claims.MAJORITY).verdict == claims.UNKNOWN
-    assert claims.among(None, ["yes", "no"], test, claims.MAJORITY).verdict == claims.FAILS  # more than half
-    assert claims.among(None, ["yes", "no", "no", "missing"], test, claims.MAJORITY).verdict == claims.FAILS
-    assert claims.among(None, ["yes", "yes", "yes", "no"], test, claims.VAST_MAJORITY).verdict == claims.HOLDS
+    assert claims.among(nobody, ["yes", "yes", "missing"], test).verdict == claims.UNKNOWN
+    assert claims.among(nobody, ["no", "missing"], test).verdict == claims.FAILS
+    assert claims.among(nobody, ["yes", "yes", "missing"], test, claims.MAJORITY).verdict == claims.HOLDS
+    assert claims.among(nobody, ["yes", "no", "missing"], test, claims.MAJORITY).verdict == claims.UNKNOWN
+    assert claims.among(nobody, ["yes", "no"], test, claims.MAJORITY).verdict == claims.FAILS  # more than half
+    assert claims.among(nobody, ["yes", "no", "no", "missing"], test, claims.MAJORITY).verdict == claims.FAILS
+    assert claims.among(nobody, ["yes", "yes", "yes", "no"], test, claims.VAST_MAJORITY).verdict == claims.HOLDS
 
 
 # ---------------------------------------------------------------------------------------------------- the report

@@ -842,8 +842,9 @@ class TestRay:
             print(trainer.folder, trainer.process.pid, flush=True)
             time.sleep(60)
         """
-        command = [sys.executable, "-c", textwrap.dedent(program), BENCHMARK]
+        command = [sys.executable, "-c", textwrap.dedent(program), str(BENCHMARK)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
+            assert killed.stdout is not None
             folder, pid = killed.stdout.readline().split()
             killed.kill()
         trainers = [cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {}) for _ in range(2)]

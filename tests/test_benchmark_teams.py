@@ -80,8 +80,8 @@ class TestKeeping:
 
     def test_the_best_algorithm_of_a_task(self, run, tmp_path):
         returns = pd.Series({("matrix-climbing", "ia2c"): 5.0, ("matrix-climbing", "mappo"): 6.0})
-        place = teams.keep_team(run, returns, tmp_path / "teams")
-        assert place == tmp_path / "teams" / "matrix-climbing"
+        place = tmp_path / "teams" / "matrix-climbing"
+        assert teams.keep_team(run, returns, tmp_path / "teams") == place
         team = script("ia2c").load(place)
         assert (place / "checkpoint.pt").stat().st_size < (run / "checkpoint.pt").stat().st_size
         assert team.args.env == "matrix-climbing" and config_of(place)["flags"]["run_dir"] == ""

@@ -283,7 +283,7 @@ class Connection:
             host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
         self.address, self.jobs, self.commit = (host, int(port)), jobs, commit_here()
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-        self.begin = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
+        self.begin: Callable[..., Any] = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
         self.cores, self.counted = 0, -math.inf
 
     def check(self) -> None:
