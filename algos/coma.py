@@ -33,8 +33,7 @@ import sys
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -46,44 +45,42 @@ PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
 )
 PAPER = {
-    ("matrix", "shared"): (64, 0.0005, "batch", "fc", 0.01, "soft", 5),
-    ("matrix", "independent"): (128, 0.0003, "batch", "fc", 0.01, "soft", 10),
-    ("mpe", "shared"): (64, 0.0003, "batch", "gru", 0.001, "hard", 10),
-    ("mpe", "independent"): (128, 0.0005, "batch", "gru", 0.01, "soft", 10),
-    ("smac", "shared"): (128, 0.0005, "batch", "fc", 0.01, "soft", 5),
-    ("smac", "independent"): (128, 0.0005, "batch", "gru", 0.01, "soft", 5),
-    ("lbf", "shared"): (128, 0.0001, "batch", "gru", 0.001, "hard", 10),
-    ("lbf", "independent"): (128, 0.0001, "batch", "gru", 0.001, "soft", 5),
-    ("rware", "shared"): (64, 0.0005, "batch", "fc", 0.01, "soft", 5),
-    ("rware", "independent"): (64, 0.0005, "none", "fc", 0.01, "soft", 5),
-}
+    # family, sharing           hidden rate    rewards  network entropy target  n_step
+    ("matrix", "shared"):      (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
+    ("matrix", "independent"): (128,   0.0003, "batch", "fc",   0.01,   "soft", 10),
+    ("mpe", "shared"):         (64,    0.0003, "batch", "gru",  0.001,  "hard", 10),
+    ("mpe", "independent"):    (128,   0.0005, "batch", "gru",  0.01,   "soft", 10),
+    ("smac", "shared"):        (128,   0.0005, "batch", "fc",   0.01,   "soft", 5),
+    ("smac", "independent"):   (128,   0.0005, "batch", "gru",  0.01,   "soft", 5),
+    ("lbf", "shared"):         (128,   0.0001, "batch", "gru",  0.001,  "hard", 10),
+    ("lbf", "independent"):    (128,   0.0001, "batch", "gru",  0.001,  "soft", 5),
+    ("rware", "shared"):       (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
+    ("rware", "independent"):  (64,    0.0005, "none",  "fc",   0.01,   "soft", 5),
+}  # fmt: skip
+OTHER = (128, 0.0005, "none", "fc", 0.001, "soft", 5)  # for any other family
 
 
 @dataclass
 class Args:
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
-    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
-    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
     seed: int = 0  # decides the first weights, the episodes and the sampled actions
     total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
     num_envs: int = 10  # environments side by side; a batch is one episode of each
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # after a time-out: value or 0
-    individual_rewards: bool = False  # not in COMA; see the docstring
+    individual_rewards: ClassVar[bool] = False  # no flag: the critic values what all do
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
-    network: Literal["fc", "gru"] = "fc"  # the core of the actors; a critic's core is always fc
+    network: Literal["fc", "gru"] = "gru"  # the core of the actors; a critic's core is always fc
     hidden_dim: int = 128  # width of all layers
     # learning
-    learning_rate: float = 0.0005  # of Adam, for actor and critic
+    learning_rate: float = 0.0001  # of Adam, for actor and critic
     gamma: float = 0.99  # discount
-    n_step: int = 5  # rewards in a return before it continues with a value
+    n_step: int = 10  # rewards in a return before it continues with a value
     entropy_coef: float = 0.001  # weight of the policies' entropy
     max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
-    target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "none"  # by batch, or all so far
+    target_update: Literal["hard", "soft"] = "hard"  # copy every 200 updates, or move by 1 % each
+    reward_standardisation: Literal["none", "batch", "running"] = "batch"  # by batch, or all so far
     # evaluation
     eval_points: int = 41  # evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
@@ -94,6 +91,11 @@ class Args:
     resume: bool = False  # go on from the last checkpoint, if there is one
     watch: str = ""  # play and film the team of this run directory instead of training
     track: bool = False  # follow the run in Weights & Biases
+    # foreign environments
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
+    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
+    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
 
 
 # --- networks ---
@@ -106,10 +108,10 @@ class Network(nn.Module):
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
         super().__init__()
-        self.sizes = [input_size, n_ids]
+        self.input_sizes = [input_size, n_ids]
         self.first = nn.Linear(input_size + n_ids, hidden_dim)
-        kind = {"gru": nn.GRU, "fc": nn.Linear}[core]
-        self.core = kind(hidden_dim, hidden_dim)
+        layer = nn.GRU if core == "gru" else nn.Linear
+        self.core = layer(hidden_dim, hidden_dim)
         self.last = nn.Linear(hidden_dim, output_size)
 
     def forward(self, x: Tensor, hidden: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
@@ -117,14 +119,14 @@ class Network(nn.Module):
 
         hidden: the GRU's state, [1, env * agent, hidden_dim]; None at the start of an episode.
         """
-        weight, id_weight = self.first.weight.split(self.sizes, dim=1)
+        weight, id_weight = self.first.weight.split(self.input_sizes, dim=1)
         x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
         if id_weight.numel() > 0:
             x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
-            rows, hidden = self.core(x.flatten(1, 2), hidden)
-            return self.last(rows.view_as(x)), hidden
+            outputs, hidden = self.core(x.flatten(1, 2), hidden)  # [time, env * agent, hidden_dim]
+            return self.last(outputs.view_as(x)), hidden
         return self.last(torch.relu(self.core(x))), None
 
 
@@ -146,19 +148,19 @@ class MultiAgentNetwork(nn.Module):
         if n == 1:
             output, state = self.networks[0](x, hidden[0])
             return output, [state]
-        views = x.expand(-1, -1, n, -1).split(1, dim=2)  # one for each agent
-        outputs, states = zip(*(self.networks[i](views[i], hidden[i]) for i in range(n)))
+        inputs = x.expand(-1, -1, n, -1).split(1, dim=2)  # what each agent sees
+        outputs, states = zip(*(self.networks[i](inputs[i], hidden[i]) for i in range(n)))
         return torch.cat(outputs, dim=2), list(states)
 
 
 # --- maths ---
 class RewardStandardiser(nn.Module):
-    """Gives rewards mean 0 and deviation 1, over each batch ("batch") or all so far ("running")."""
+    """Rewards with mean 0 and standard deviation 1: in each batch, or in all so far ("running")."""
 
     def __init__(self, method: str):
         super().__init__()
         self.method = method
-        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, squared errors
+        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squares
 
     def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
         """rewards: [time, env, 1 or agent]; played: [time, env]. Only played steps are counted."""
@@ -176,8 +178,8 @@ class RewardStandardiser(nn.Module):
             mean = seen_mean + shift * count / total
             count = total
             self.seen.copy_(torch.stack([count, mean, squares]))
-        deviation = (squares / max(count - 1, 1)).sqrt()
-        return ((rewards - mean) / (deviation + 1e-5)).float()
+        std = (squares / max(count - 1, 1)).sqrt()  # the standard deviation
+        return ((rewards - mean) / (std + 1e-5)).float()
 
 
 def n_step_returns(
@@ -191,10 +193,11 @@ def n_step_returns(
     """
     after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
     values = torch.cat([values[:1], after])
-    returns = values  # a 0-step return is the value alone
-    for _ in range(min(n, len(rewards))):  # a reward and the next step's k-step return: k + 1 steps
+    returns = values  # those of 0 steps; each round of the loop makes them one step longer
+    for _ in range(min(n, len(rewards))):
         longer = rewards + gamma * returns[1:]
-        longer = torch.where(played.unsqueeze(-1), longer, values[:-1])  # nothing beyond the end
+        # Beyond the end the value stays, so that a return which reaches the end continues with it.
+        longer = torch.where(played.unsqueeze(-1), longer, values[:-1])
         returns = torch.cat([longer, values[-1:]])
     return returns[:-1]
 
@@ -211,7 +214,10 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 
 
 def explained_variance(values: Tensor, returns: Tensor, played: Tensor) -> Tensor:
-    """The share of the returns' variance that the critic foresees: 1 is all, 0 is nothing."""
+    """The share of the returns' variance that the critic foresees: 1 is all, 0 is nothing.
+
+    It is negative where guessing the mean would be better, and no number if all returns are equal.
+    """
     return 1 - (returns - values)[played].var() / returns[played].var()
 
 
@@ -264,12 +270,9 @@ class SamplingTeam:
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        """observations: [env, agent, obs]; info["action_mask"]: [env, agent, action].
-
-        Returns the agents' actions, [env, agent].
-        """
+        """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
         inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"]).to(self.args.device)
+        masks = torch.from_numpy(info["action_mask"]).to(self.args.device)  # [env, agent, action]
         logits, self.hidden = self.agents(inputs, self.hidden)
         if self.greedy:
             return torch.where(masks, logits[0], -torch.inf).argmax(-1).cpu().numpy()
@@ -280,7 +283,7 @@ Team = SamplingTeam  # what the common code at the end of this file calls it
 
 
 def new_batch(args: Args, env: VectorEnv) -> Batch:
-    """Room for one episode of each sub-environment."""
+    """Storage for one episode of each sub-environment."""
     steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
     observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
     states = torch.zeros(steps + 1, n_envs, env.state_size)
@@ -297,13 +300,13 @@ def new_batch(args: Args, env: VectorEnv) -> Batch:
     )
 
 
-def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch, np.ndarray]:
+def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
     """Plays one whole episode in each sub-environment; those that end early wait for the others.
 
     Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
-    batch is a view of `room`, so it is valid until the next one is collected.
+    batch is a view of `storage`, so it is valid until the next one is collected.
     """
-    rows = SimpleNamespace(**{name: x.numpy() for name, x in room._asdict().items()})  # views
+    rows: Any = Batch._make(x.numpy() for x in storage)  # the same memory, as NumPy arrays
     rows.observations[0], info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
@@ -312,7 +315,7 @@ def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch,
     while True:
         rows.states[t] = info["state"]
         rows.action_masks[t] = info["action_mask"]
-        if ended.all():
+        if ended.all():  # what was written last is the state after the end
             break
         rows.actions[t] = team.act(rows.observations[t], info)
         rows.played[t] = ~ended
@@ -322,8 +325,8 @@ def collect(args: Args, env: VectorEnv, team: Team, room: Batch) -> tuple[Batch,
         ended = terminated | truncated
         rows.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
         t += 1
-    unused = env.episode_limit - t
-    return Batch(*(x[: len(x) - unused].to(args.device) for x in room)), returns
+    unused = env.episode_limit - t  # rows, as many in fields of `time` as of `time + 1`
+    return Batch(*(x[: len(x) - unused].to(args.device) for x in storage)), returns
 
 
 # --- update ---
@@ -331,7 +334,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)
+    loss.backward(inputs=parameters)  # not also for a critic that only leads the actors (MADDPG)
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -348,17 +351,17 @@ def update_target(target: nn.Module, online: nn.Module, method: str, updates: in
 
 
 def update(
-    args: Args, parts: dict[str, Any], batch: Batch, updates: int, rng: torch.Generator
+    args: Args, learner: dict[str, Any], batch: Batch, updates: int, rng: torch.Generator
 ) -> dict[str, Tensor]:
     """Learns from a batch in update number `updates`, from 1 on. Returns figures for the log."""
-    agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
+    agents, critic, target_critic = learner["agents"], learner["critic"], learner["target_critic"]
     logits = agents(batch.observations)[0]  # [time + 1, env, agent, action]
     # After a time-out, the value of the next state needs actions there. An environment that waits
     # for the others has drawn them in `collect`; for the last state they are drawn here.
     last = sample_actions(logits[-1:].detach(), batch.action_masks[-1:], rng)
     actions = torch.cat([batch.actions, last])  # [time + 1, env, agent]
     critic_inputs = counterfactual_inputs(batch.states, actions, logits.shape[-1])
-    rewards = parts["standardiser"](batch.rewards, batch.played)
+    rewards = learner["standardiser"](batch.rewards, batch.played)
     with torch.no_grad():
         target_values = target_critic(critic_inputs)[0]  # [time + 1, env, agent, action]
         target_values = target_values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
@@ -370,7 +373,7 @@ def update(
     values = all_values.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     errors = (returns - values).square()
     critic_loss = played_mean(errors, batch.played) * errors.shape[-1]  # summed over agents
-    critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
+    critic_norm = gradient_step(critic_loss, learner["critic_optimiser"], args.max_grad_norm)
 
     log_probs = log_probabilities(logits[:-1], batch.action_masks[:-1])
     probs = log_probs.exp()  # [time, env, agent, action]
@@ -379,7 +382,7 @@ def update(
     log_pi = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     entropy = -(probs * log_probs).sum(-1)
     actor_loss = -played_mean(advantages * log_pi + args.entropy_coef * entropy, batch.played)
-    actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
+    actor_norm = gradient_step(actor_loss, learner["actor_optimiser"], args.max_grad_norm)
 
     update_target(target_critic, critic, args.target_update, updates)
     with torch.no_grad():
@@ -398,12 +401,11 @@ def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
     env = envs.make_for(args, args.num_envs, args.seed)
-    reason = "COMA's critic values joint actions by the team's reward"
-    envs.check_one_team(env, args.individual_rewards, reason)
+    envs.check_one_team(env, "COMA's critic values joint actions by the team's reward")
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     critic_size = env.state_size + env.n_agents * env.n_actions
     critic = MultiAgentNetwork(args, env.n_agents, critic_size, env.n_actions)
-    parts = {  # what a checkpoint keeps
+    learner = {  # what a checkpoint keeps
         "agents": agents,
         "critic": critic,
         "target_critic": deepcopy(critic),
@@ -412,14 +414,14 @@ def train(args: Args) -> None:
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
     team = Team(args, agents, rng)
-    room = new_batch(args, env)
-    run = Run(args, env, parts, rng)
+    storage = new_batch(args, env)
+    run = Run(args, env, learner, rng)
 
     run.evaluate_if_due()
     while run.timestep < args.total_timesteps:
-        batch, returns = collect(args, env, team, room)
+        batch, returns = collect(args, env, team, storage)
         run.updates += 1
-        metrics = update(args, parts, batch, run.updates, rng)
+        metrics = update(args, learner, batch, run.updates, rng)
         run.advance(batch, returns, metrics)
         run.evaluate_if_due()
         if run.directory.save_is_due:
@@ -441,13 +443,13 @@ def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
 
 
 class Run:
-    """One run: its evaluations, checkpoints and log. parts: all that has a state_dict, by name."""
+    """One run: its evaluations, checkpoints and log. learner: what has a state_dict, by name."""
 
-    def __init__(self, args: Args, env: VectorEnv, parts: dict[str, Any], rng: torch.Generator):
-        self.args, self.env, self.parts, self.rng = args, env, parts, rng
+    def __init__(self, args: Args, env: VectorEnv, learner: dict[str, Any], rng: torch.Generator):
+        self.args, self.env, self.learner, self.rng = args, env, learner, rng
         self.timestep = 0  # steps of all environments together
         self.updates = 0
-        self.budget = args.total_timesteps  # a lengthened run keeps the spacing of its evaluations
+        self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
@@ -461,7 +463,7 @@ class Run:
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Goes on where a checkpoint was made."""
-        for name, part in self.parts.items():
+        for name, part in self.learner.items():
             part.load_state_dict(saved["parts"][name])
         self.rng.set_state(saved["rng"])
         self.env.episode = saved["episode"]
@@ -472,8 +474,8 @@ class Run:
         """Writes a checkpoint, and with it config.json and evaluations.csv."""
         self.directory.save(
             rows=self.rows,
-            sizes=(self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network),
-            parts={name: part.state_dict() for name, part in self.parts.items()},
+            network=(self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network),
+            parts={name: part.state_dict() for name, part in self.learner.items()},
             rng=self.rng.get_state(),
             episode=self.env.episode,  # all that the environments' randomness depends on
             timestep=self.timestep,
@@ -483,11 +485,12 @@ class Run:
 
     def evaluate_if_due(self) -> None:
         """Evaluates and saves when the steps have reached or passed the next evaluation point."""
-        reached = min(self.timestep, self.args.total_timesteps) * (self.args.eval_points - 1)
-        while len(self.rows) * self.budget <= reached:
-            point = len(self.rows)  # an evaluation's own seed: it changes nothing in the training
+        steps = min(self.timestep, self.args.total_timesteps)  # no point lies beyond the total
+        # Point p is due at p * budget / (eval_points - 1) steps; in integers nothing is rounded.
+        while len(self.rows) * self.budget <= steps * (self.args.eval_points - 1):
+            point = len(self.rows)  # has a seed of its own: evaluations change nothing in training
             seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
-            team = Team(self.args, self.parts["agents"], torch.Generator().manual_seed(seed))
+            team = Team(self.args, self.learner["agents"], torch.Generator().manual_seed(seed))
             results = evaluate(self.eval_env, team, seed)
             seconds = self.directory.seconds()
             self.rows.append({"point": point, "timestep": self.timestep, **seconds, **results})
@@ -513,10 +516,11 @@ class Run:
 
 
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; Args' own where its family has none."""
+    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
     task = envs.task(env)
     sharing = "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get((task.family, sharing), ())))
+    values = PAPER.get((task.family, sharing), OTHER)
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), values))
     chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
     chosen["eval_points"] = task.eval_points
     return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
@@ -527,7 +531,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
         args = Args(**saved["config"]["flags"] | {"device": "cpu"})
-        agents = MultiAgentNetwork(args, *saved["sizes"])
+        agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
     return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
 
@@ -537,7 +541,8 @@ def watch(args: Args) -> None:
     team = load(args.watch, args.seed)
     env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
+    team = load(args.watch, args.seed)  # draws as at first, so the film shows the same episodes
+    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")))
 
 
 def main() -> None:

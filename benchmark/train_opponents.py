@@ -157,7 +157,7 @@ def train(task: str, seed: int, directory: Path) -> None:
             super().save()
             if self.rows[-1]["timestep"] == self.timestep:
                 kept.mkdir(exist_ok=True)
-                np.savez(kept / f"{self.timestep}.npz", **network(self.parts["agents"], opponent_of(task))._asdict())
+                np.savez(kept / f"{self.timestep}.npz", **network(self.learner["agents"], opponent_of(task))._asdict())
 
     module.Run = KeepsCandidates
     flags = ["--env", f"{task}-selfplay", "--individual-rewards", "--no-parameter-sharing", "--network", "fc"]

@@ -440,9 +440,7 @@ def check_teams(env: VectorEnv, individual_rewards: bool, parameter_sharing: boo
         raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
 
 
-def check_one_team(env: VectorEnv, individual_rewards: bool, reason: str) -> None:
-    """Raises InputError where an algorithm that learns from the team's reward is asked for anything else."""
+def check_one_team(env: VectorEnv, reason: str) -> None:
+    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams."""
     if len(set(env.teams)) > 1:
         raise InputError(f"{env.name} has opposing teams: {reason}.")
-    if individual_rewards:
-        raise InputError(f"--individual-rewards: {reason}.")

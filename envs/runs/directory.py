@@ -85,12 +85,21 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
         try:
             saved = torch.load(path, map_location="cpu", weights_only=True)
             saved["config"]["algorithm"], saved["config"]["flags"], saved["rows"], saved["seconds"]
-            return dict(saved)
+            return renewed(saved)
         except Exception:  # torch.load raises almost anything on a damaged file
             damaged.append(path.name)
     if damaged in ([], ["checkpoint.new.pt"]) and not Path(directory, "evaluations.csv").exists():
         return None  # the very first one has not been written, or not to its end
     raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged) or 'they are gone'}).")
+
+
+def renewed(saved: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint of an older version, as this one writes it."""
+    if "sizes" in saved:
+        saved["network"] = saved.pop("sizes")
+    if saved["config"]["algorithm"] in ("coma", "vdn", "qmix"):
+        saved["config"]["flags"].pop("individual_rewards", None)  # was a flag that could only be off
+    return saved
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from envs.tasks import InputError
 
 Flags = TypeVar("Flags")  # the Args of a script
 
+OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images"}
 # These say nothing of the setting
 OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
@@ -112,9 +113,13 @@ def check_flags(args: Any) -> None:
 
 
 def changed_flags(args: Any, default: Any) -> dict[str, Any]:
-    """The flags of a setting that differ from the default. Task, sharing and seed are named elsewhere."""
+    """The flags of a setting that differ from the default. Task, sharing and seed are named elsewhere.
+
+    What is played stands first, then how, so that the names of directories do not depend on the order in Args.
+    """
     named = OF_ONE_RUN | {"env", "parameter_sharing"}
-    return {name: value for name, value in vars(args).items() if name not in named and value != getattr(default, name)}
+    ordered = sorted(vars(args).items(), key=lambda flag: flag[0] not in OF_THE_TASK)
+    return {name: value for name, value in ordered if name not in named and value != getattr(default, name)}
 
 
 def show_help(args_class: type, default: Any, description: str) -> None:
@@ -131,7 +136,7 @@ def show_help(args_class: type, default: Any, description: str) -> None:
             print(textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False), end="\n\n")
     for line in inspect.getsource(args_class).splitlines():
         title = re.fullmatch(r" {4}# (.+)", line)
-        field = re.fullmatch(r" {4}(\w+): (.+?) = .+?  # (.+)", line)
+        field = re.fullmatch(r" {4}(\w+): (?!ClassVar)(.+?) = .+?  # (.+)", line)
         if title:
             print(f"\n{title[1]}:")
         if field:
