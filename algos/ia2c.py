@@ -2,26 +2,27 @@
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the same observation and tells how much reward is still to
-come. So every agent learns as if it were alone, and the others are a part of its world. Ten
-environments play one episode each. Then the policies make one gradient step towards the actions
-that went better than the critic expected. V' is an older or a slowly moving copy of the critic V,
-so that the target does not follow every step of V.
+come. So every agent learns as if it were alone, and the others are a part of its world.
+--num-envs environments play one episode each. Then the policies make one gradient step towards the
+actions that went better than the critic expected. V' is an older or a slowly moving copy of the
+critic V, so that the target does not follow every step of V.
 
-    G_t       = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'(o_{t+n})
-    A_t       = G_t - V(o_t)
-    L(critic) = mean (G_t - V(o_t))^2
-    L(actor)  = - mean [ A_t log pi(a_t | o_t) + e H(pi(. | o_t)) ]
+    G_i,t     = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n V'_i(o_i,t+n)
+    A_i,t     = G_i,t - V_i(o_i,t)
+    L(critic) = mean over agents and steps of (G_i,t - V_i(o_i,t))^2
+    L(actor)  = - mean over agents and steps of [ A_i,t log pi_i(a_i,t | o_i,t) + e H(pi_i) ]
 
-r is the team's reward, G the n-step return, A the advantage, H the entropy, and e is
---entropy-coef. Without A, the step would make every taken action likelier. With A, actions that
-went better than expected get likelier, and the others rarer.
+r is the team's reward, G the n-step return, A the advantage, H the entropy, e --entropy-coef.
+With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
+Without A, the step would make every taken action likelier. With A, actions that went better than
+expected get likelier, and the others rarer.
 
 Algorithm: Mnih et al., "Asynchronous Methods for Deep Reinforcement Learning" (2016).
+Advantages are not normalised, and they come from n-step returns, not from GAE.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). As in that paper there is no GAE, and advantages are not normalised.
-We differ from the paper's code in two points. It replaced the rewards of a batch's last step by
-values; here they stay, and where time ran out, the value of the state after it is added. It also
-counted padding, the rows after an episode's end, when it standardised rewards.
+in Cooperative Tasks" (2021). Their code, EPyMARL, differs in two points. It replaced the rewards of
+a batch's last step by values; here they stay, and after a time-out the value of the next state is
+added. It also counted padding, the rows after an episode's end, when it standardised rewards.
 
     python algos/ia2c.py --env lbf-15x15-3p-5f
     python algos/ia2c.py --watch runs/lbf-15x15-3p-5f/ia2c-shared/seed0
@@ -46,17 +47,17 @@ PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
 )
 PAPER = {
-    # family, sharing           hidden rate    rewards  network entropy target  n_step
-    ("matrix", "shared"):      (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
-    ("matrix", "independent"): (128,   0.0001, "batch", "fc",   0.01,   "hard", 5),
-    ("mpe", "shared"):         (64,    0.0005, "batch", "gru",  0.01,   "soft", 5),
-    ("mpe", "independent"):    (128,   0.0005, "batch", "fc",   0.01,   "soft", 10),
-    ("smac", "shared"):        (128,   0.0005, "batch", "fc",   0.01,   "soft", 5),
-    ("smac", "independent"):   (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
-    ("lbf", "shared"):         (128,   0.0005, "batch", "gru",  0.001,  "soft", 5),
-    ("lbf", "independent"):    (64,    0.0005, "batch", "gru",  0.01,   "soft", 5),
-    ("rware", "shared"):       (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
-    ("rware", "independent"):  (64,    0.0005, "batch", "fc",   0.01,   "soft", 5),
+    # family, sharing           dim  rate    rewards  core   entropy target  n_step
+    ("matrix", "shared"):      (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
+    ("matrix", "independent"): (128, 0.0001, "batch", "fc",  0.01,   "hard", 5),
+    ("mpe", "shared"):         (64,  0.0005, "batch", "gru", 0.01,   "soft", 5),
+    ("mpe", "independent"):    (128, 0.0005, "batch", "fc",  0.01,   "soft", 10),
+    ("smac", "shared"):        (128, 0.0005, "batch", "fc",  0.01,   "soft", 5),
+    ("smac", "independent"):   (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
+    ("lbf", "shared"):         (128, 0.0005, "batch", "gru", 0.001,  "soft", 5),
+    ("lbf", "independent"):    (64,  0.0005, "batch", "gru", 0.01,   "soft", 5),
+    ("rware", "shared"):       (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
+    ("rware", "independent"):  (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
 }  # fmt: skip
 OTHER = (128, 0.0005, "none", "fc", 0.001, "soft", 5)  # for any other family
 
@@ -103,8 +104,9 @@ class Args:
 class Network(nn.Module):
     """Linear - ReLU - core - Linear. The core is a GRU, or Linear - ReLU.
 
-    Agents that share a network also feed it their one-hot id. The one-hot is never built, because
-    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b: an id only adds a column of the weights.
+    Agents that share a network also feed it their one-hot ids. These are never built: since
+    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, an id only adds a column of the weights. Where
+    the state is large this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
@@ -123,7 +125,7 @@ class Network(nn.Module):
         weight, id_weight = self.first.weight.split(self.input_sizes, dim=1)
         x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
         if id_weight.numel() > 0:
-            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]
+            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
             outputs, hidden = self.core(x.flatten(1, 2), hidden)  # [time, env * agent, hidden_dim]
@@ -217,7 +219,7 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def explained_variance(values: Tensor, returns: Tensor, played: Tensor) -> Tensor:
     """The share of the returns' variance that the critic foresees: 1 is all, 0 is nothing.
 
-    It is negative where guessing the mean would be better, and no number if all returns are equal.
+    Below 0 the returns' mean would foresee more. No finite number if all returns are the same.
     """
     return 1 - (returns - values)[played].var() / returns[played].var()
 
@@ -322,7 +324,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # not also for a critic that only leads the actors (MADDPG)
+    loss.backward(inputs=parameters)  # only these: MADDPG's actors learn through its critic
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -376,7 +378,7 @@ def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> d
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
+    rng = torch.manual_seed(args.seed)  # PyTorch's global one: draws weights and actions
     env = envs.make_for(args, args.num_envs, args.seed)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
@@ -423,8 +425,7 @@ class Run:
 
     def __init__(self, args: Args, env: VectorEnv, learner: dict[str, Any], rng: torch.Generator):
         self.args, self.env, self.learner, self.rng = args, env, learner, rng
-        self.timestep = 0  # steps of all environments together
-        self.updates = 0
+        self.timestep = self.updates = 0  # a timestep is a step of one environment
         self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
@@ -494,9 +495,8 @@ class Run:
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
     """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
     task = envs.task(env)
-    sharing = "shared" if parameter_sharing else "independent"
-    values = PAPER.get((task.family, sharing), OTHER)
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), values))
+    table = task.family, "shared" if parameter_sharing else "independent"
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
     chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
     chosen["eval_points"] = task.eval_points
     return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
@@ -513,12 +513,11 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 
 
 def watch(args: Args) -> None:
-    """Plays what was trained, prints the results and films the first of the episodes."""
+    """Plays what was trained and prints the results, then films the first of the same episodes."""
     team = load(args.watch, args.seed)
     env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    team = load(args.watch, args.seed)  # draws as at first, so the film shows the same episodes
-    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")))
+    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
 
 
 def main() -> None:

@@ -1,21 +1,24 @@
 """IQL: independent Q-learning.
 
 Every agent learns the value Q_i of its own actions as if it were alone, and the others are a part
-of its world. One environment plays one episode, in which each agent takes its best action or, with
-probability epsilon, any. Then one gradient step is made on a batch of whole episodes from the
-replay. Q' is an older or a slowly moving copy of Q, so that the target does not follow every step
-of Q.
+of its world.
+One environment plays one episode, in which each agent takes its best action or, with probability
+epsilon, any. Then one gradient step is made on a batch of whole episodes from the replay. Q' is an
+older or a slowly moving copy of Q, so that the target does not follow every step of Q.
 
     a*_i,t+1 = argmax_a Q_i(o_i,t+1, a)
     y_i,t    = r_t + gamma Q'_i(o_i,t+1, a*_i,t+1)         only r_t where the episode ended
     L        = mean over agents and steps of (y_i,t - Q_i(o_i,t, a_i,t))^2
 
 r is the team's reward. Q chooses the next action and Q' values it (double Q-learning).
+With --network gru, o_i,t stands for all that agent i has observed in the episode so far.
 
 Algorithm: Tan, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents" (1993).
+Double Q-learning: van Hasselt et al., "Deep Reinforcement Learning with Double Q-learning" (2016).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). As in that paper a time-out counts as an end. Unlike in its code, the
-rows after an episode's end do not count when rewards are standardised.
+in Cooperative Tasks" (2021). As there, a time-out counts as an end, and the replay holds a million
+steps at most (2,000 episodes in RWARE). Their code, EPyMARL, had no such limit, and it counted
+padding, the rows after an episode's end, when it standardised rewards.
 
     python algos/iql.py --env lbf-8x8-2p-2f-c
     python algos/iql.py --watch runs/lbf-8x8-2p-2f-c/iql-shared/seed0
@@ -41,17 +44,17 @@ PAPER_FLAGS = (
     "target_update eval_epsilon epsilon_anneal"
 )
 PAPER = {
-    # family, sharing           hidden rate    rewards  network target  eval_eps anneal
-    ("matrix", "shared"):      (128,   0.0003, "batch", "fc",   "hard", 0.0,     50_000),
-    ("matrix", "independent"): (64,    0.0001, "batch", "fc",   "soft", 0.0,     50_000),
-    ("mpe", "shared"):         (128,   0.0005, "batch", "fc",   "soft", 0.0,     200_000),
-    ("mpe", "independent"):    (128,   0.0005, "batch", "fc",   "soft", 0.0,     200_000),
-    ("smac", "shared"):        (128,   0.0005, "none",  "gru",  "hard", 0.05,    50_000),
-    ("smac", "independent"):   (64,    0.0005, "batch", "gru",  "hard", 0.05,    50_000),
-    ("lbf", "shared"):         (128,   0.0003, "batch", "gru",  "hard", 0.05,    200_000),
-    ("lbf", "independent"):    (64,    0.0003, "batch", "gru",  "hard", 0.05,    50_000),
-    ("rware", "shared"):       (64,    0.0005, "batch", "fc",   "soft", 0.05,    50_000),
-    ("rware", "independent"):  (64,    0.0005, "batch", "fc",   "soft", 0.05,    50_000),
+    # family, sharing           dim  rate    rewards  core   target  eps   anneal
+    ("matrix", "shared"):      (128, 0.0003, "batch", "fc",  "hard", 0.0,  50_000),
+    ("matrix", "independent"): (64,  0.0001, "batch", "fc",  "soft", 0.0,  50_000),
+    ("mpe", "shared"):         (128, 0.0005, "batch", "fc",  "soft", 0.0,  200_000),
+    ("mpe", "independent"):    (128, 0.0005, "batch", "fc",  "soft", 0.0,  200_000),
+    ("smac", "shared"):        (128, 0.0005, "none",  "gru", "hard", 0.05, 50_000),
+    ("smac", "independent"):   (64,  0.0005, "batch", "gru", "hard", 0.05, 50_000),
+    ("lbf", "shared"):         (128, 0.0003, "batch", "gru", "hard", 0.05, 200_000),
+    ("lbf", "independent"):    (64,  0.0003, "batch", "gru", "hard", 0.05, 50_000),
+    ("rware", "shared"):       (64,  0.0005, "batch", "fc",  "soft", 0.05, 50_000),
+    ("rware", "independent"):  (64,  0.0005, "batch", "fc",  "soft", 0.05, 50_000),
 }  # fmt: skip
 OTHER = (128, 0.0005, "none", "fc", "soft", 0.05, 200_000)  # for any other family
 
@@ -101,8 +104,9 @@ class Args:
 class Network(nn.Module):
     """Linear - ReLU - core - Linear. The core is a GRU, or Linear - ReLU.
 
-    Agents that share a network also feed it their one-hot id. The one-hot is never built, because
-    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b: an id only adds a column of the weights.
+    Agents that share a network also feed it their one-hot ids. These are never built: since
+    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, an id only adds a column of the weights. Where
+    the state is large this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
@@ -121,7 +125,7 @@ class Network(nn.Module):
         weight, id_weight = self.first.weight.split(self.input_sizes, dim=1)
         x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
         if id_weight.numel() > 0:
-            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]
+            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
             outputs, hidden = self.core(x.flatten(1, 2), hidden)  # [time, env * agent, hidden_dim]
@@ -233,7 +237,7 @@ class EpsilonGreedyTeam:
         masks = torch.from_numpy(info["action_mask"])  # [env, agent, action]
         q_values, self.hidden = self.agents(inputs, self.hidden)
         explores = torch.rand(masks.shape[:-1], generator=self.rng).unsqueeze(-1) < self.epsilon
-        random_scores = torch.rand(masks.shape, generator=self.rng)
+        random_scores = torch.rand(masks.shape, generator=self.rng)  # the highest: any action
         scores = torch.where(explores, random_scores, q_values[0].cpu())
         return torch.where(masks, scores, -torch.inf).argmax(-1).numpy()
 
@@ -292,8 +296,6 @@ class Replay:
     """The last episodes, kept on the disk by envs/runs/, and the batches drawn from them."""
 
     def __init__(self, args: Args, env: VectorEnv, storage: Batch, path: Path):
-        if env.num_envs != 1:
-            raise ValueError("a replay takes one episode at a time, so it needs one environment.")
         self.args, self.env = args, env  # the environment counts the episodes
         self.size = max(min(args.buffer_size, 1_000_000 // env.episode_limit), args.batch_size)
         fields = {name: x[:, 0].numpy() for name, x in storage._asdict().items()}
@@ -309,7 +311,7 @@ class Replay:
     def sample(self, rng: torch.Generator) -> Batch:
         """A batch of different episodes, all equally likely, cut to the longest of them."""
         ages = torch.randperm(min(self.env.episode, self.size), generator=rng)  # 0: the newest
-        numbers = self.env.episode - ages[: self.args.batch_size].numpy()
+        numbers = self.env.episode - ages[: self.args.batch_size].numpy()  # counted from 1
         fields = {}
         for name, x in self.file.read(numbers).items():  # [env, time, ...] becomes [time, env, ...]
             fields[name] = torch.from_numpy(x).transpose(0, 1).contiguous().to(self.args.device)
@@ -323,7 +325,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # not also for a critic that only leads the actors (MADDPG)
+    loss.backward(inputs=parameters)  # only these: MADDPG's actors learn through its critic
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -364,13 +366,13 @@ def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> d
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)  # the global generator: of first weights, of actions
+    rng = torch.manual_seed(args.seed)  # PyTorch's global one: draws weights and actions
     env = envs.make_for(args, 1, args.seed)
     envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     learner = {  # what a checkpoint keeps
         "agents": agents,
-        "target_agents": deepcopy(agents).to(args.device),  # makes a GRU's weights one block again
+        "target_agents": deepcopy(agents).to(args.device),  # .to joins a GRU's weights, for cuDNN
         "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
         "optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
     }
@@ -387,14 +389,14 @@ def train(args: Args) -> None:
         episode, returns = collect(args, env, team, storage)
         replay.add(episode)
         metrics = {}
-        if env.episode >= args.batch_size:
+        if env.episode >= args.batch_size:  # the replay holds a batch
             run.updates += 1
             metrics = update(args, learner, replay.sample(rng), run.updates)
             metrics["policy/epsilon"] = torch.tensor(team.epsilon)
         run.advance(episode, returns, metrics)
         run.evaluate_if_due()
         if env.episode % replay.file.checkpoint_every == 0 or run.directory.save_is_due:
-            run.save()
+            run.save()  # before a slot of the replay that the last checkpoint needs is used again
     run.complete()
 
 
@@ -416,8 +418,7 @@ class Run:
 
     def __init__(self, args: Args, env: VectorEnv, learner: dict[str, Any], rng: torch.Generator):
         self.args, self.env, self.learner, self.rng = args, env, learner, rng
-        self.timestep = 0  # steps of all environments together
-        self.updates = 0
+        self.timestep = self.updates = 0  # a timestep is a step of one environment
         self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.eval_env = envs.make_for(args, args.eval_episodes)
@@ -487,9 +488,8 @@ class Run:
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
     """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
     task = envs.task(env)
-    sharing = "shared" if parameter_sharing else "independent"
-    values = PAPER.get((task.family, sharing), OTHER)
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), values))
+    table = task.family, "shared" if parameter_sharing else "independent"
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
     chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
     chosen["eval_points"] = task.eval_points
     return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
@@ -506,12 +506,11 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 
 
 def watch(args: Args) -> None:
-    """Plays what was trained, prints the results and films the first of the episodes."""
+    """Plays what was trained and prints the results, then films the first of the same episodes."""
     team = load(args.watch, args.seed)
     env = envs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    team = load(args.watch, args.seed)  # draws as at first, so the film shows the same episodes
-    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")))
+    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
 
 
 def main() -> None:

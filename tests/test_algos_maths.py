@@ -223,7 +223,7 @@ class TestCollect:
     @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
     @pytest.mark.parametrize("individual", [False, True])
     def test_batch_is_what_was_played(self, time_limit, individual):
-        module, task = script(ON_POLICY[0]), "lbf-5x5-2p-1f"
+        module, task = script("ia2c"), "lbf-5x5-2p-1f"
         args = module.Args(env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
@@ -260,7 +260,7 @@ class TestCollect:
 def test_every_parameter_learns(monkeypatch, name, sharing, network, individual):
     """After one update every parameter of actors and critics, of each agent's own networks too, has a gradient."""
     if name == "coma" and individual:
-        pytest.skip("COMA refuses individual rewards")
+        pytest.skip("COMA learns from the team's reward alone")
     flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
     run = trained(monkeypatch, name, 1, reward_standardisation="batch", **flags)
     for part in ("agents", "critic"):

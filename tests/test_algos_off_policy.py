@@ -151,7 +151,9 @@ def slow_maddpg_losses(args, parts, batch, noise):
 def test_losses_of_the_first_update(name, individual, time_limit, sharing, network, standardisation):
     """Losses and gradients against the slow ones."""
     module = script(name)
-    flags = {"individual_rewards": individual, "time_limit": time_limit, "parameter_sharing": sharing}
+    flags = {"time_limit": time_limit, "parameter_sharing": sharing}
+    if individual:
+        flags["individual_rewards"] = True
     if name == "maddpg":
         flags["actor_regularisation"] = 0.1
     args = make_args(module, network=network, reward_standardisation=standardisation, **flags)
@@ -573,12 +575,6 @@ def test_every_parameter_learns(monkeypatch, name, individual, sharing, network)
             assert parameter.grad is not None and parameter.grad.abs().max() > 0, where
             assert not torch.equal(parameter, before[parameter_name]), where
         assert all(parameter.grad is None for parameter in run.parts[f"target_{part}"].parameters())
-
-
-@pytest.mark.parametrize("name", ["vdn", "qmix"])
-def test_a_value_for_the_team_needs_the_reward_of_the_team(monkeypatch, name):
-    with pytest.raises(envs.InputError, match=r"--individual-rewards: .* one value for the team"):
-        trained(monkeypatch, name, 0, individual_rewards=True)
 
 
 # --- MADDPG ---

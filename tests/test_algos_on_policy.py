@@ -116,7 +116,7 @@ def slow_update(name, args, parts, batch, clips):
 def test_updates_in_a_row(name, time_limit, sharing, network, standardisation, individual):
     """Losses, and with Adam, clipping and a target that is not the critic what all networks become."""
     if name == "coma" and individual:
-        pytest.skip("COMA refuses individual rewards")
+        pytest.skip("COMA learns from the team's reward alone")
     module = script(name)
     args = module.Args(network=network, reward_standardisation=standardisation, parameter_sharing=sharing)
     args.time_limit, args.individual_rewards, args.target_update = time_limit, individual, "soft"

@@ -496,14 +496,14 @@ class TestWrongInput:
             assert "checkpoint.pt" in said
         assert (tmp_path / "checkpoint.pt").read_bytes() == before
 
-    @pytest.mark.parametrize("lost", ["parts", "sizes", "timestep"])
+    @pytest.mark.parametrize("lost", ["parts", "network", "timestep"])
     def test_a_checkpoint_that_lacks_something(self, mappo_run, monkeypatch, capsys, tmp_path, lost):
         flags, directory = mappo_run
         copy = copy_of(directory, tmp_path / "run")
         saved = torch.load(copy / "checkpoint.pt", weights_only=True)
         del saved[lost]
         torch.save(saved, copy / "checkpoint.pt")
-        if lost != "sizes":
+        if lost != "network":
             said = self.one_sentence(self.refused(monkeypatch, capsys, *flags, copy, "--resume"))
             assert "does not fit" in said
         if lost != "timestep":
@@ -556,11 +556,6 @@ class TestWrongInput:
         said = self.refused(monkeypatch, capsys, *flags, directory, "--resume", name="maa2c")
         assert "holds a run of mappo.py" in self.one_sentence(said)
 
-    @pytest.mark.parametrize(("name", "reason"), [("coma", "joint"), ("vdn", "one value"), ("qmix", "one value")])
-    def test_refused_individual_rewards(self, monkeypatch, capsys, tmp_path, name, reason):
-        flags = [*short(name), "--individual-rewards", "--run-dir", tmp_path / "run"]
-        assert reason in self.one_sentence(self.refused(monkeypatch, capsys, *flags, name=name))
-
     def test_a_replay_that_does_not_fit(self, monkeypatch, capsys, tmp_path):
         monkeypatch.setattr(runs.replay.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
         said = self.refused(monkeypatch, capsys, *short("qmix"), "--run-dir", tmp_path / "run", name="qmix")
@@ -587,6 +582,19 @@ class TestWrongInput:
 
 
 # --- using what was trained ---
+@pytest.mark.parametrize("name", ["mappo", "coma"])
+def test_a_checkpoint_of_an_older_version(monkeypatch, capsys, tmp_path, name):
+    """It named the networks' arguments otherwise, and every script had --individual-rewards."""
+    flags = [*short(name), "--total-timesteps", 2000, "--eval-points", 3, "--run-dir", tmp_path, "--resume"]
+    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+    saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    saved["sizes"] = saved.pop("network")
+    saved["config"]["flags"]["individual_rewards"] = False
+    torch.save(saved, tmp_path / "checkpoint.pt")
+    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+    assert script(name).load(tmp_path).args.env == "lbf-5x5-2p-1f"
+
+
 def test_default_directory_names_what_is_not_default(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     flags = ["--env", "matrix-penalty-25", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]

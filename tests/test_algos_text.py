@@ -6,7 +6,7 @@ import csv
 import re
 
 import pytest
-from scripts import NAMES, ON_POLICY, ROOT, parse, script
+from scripts import INDIVIDUAL, NAMES, ON_POLICY, ROOT, parse, script
 
 MAY_DIFFER = {"Args", "update", "train"}
 SECTIONS = ["networks", "maths", "experience", "update", "train"]
@@ -117,6 +117,27 @@ def test_defaults_are_the_papers(name, family, sharing):
     assert args["eval_points"] == (101 if family == "matrix" else 41)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_values_in_args_are_those_of_the_default_task(name):
+    module = script(name)
+    assert module.Args() == module.paper_defaults()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_family_that_the_paper_does_not_have(name):
+    """Such a task begins with the same values in all scripts, none of them from the table of another family."""
+    args = script(name).paper_defaults("own:examples.meeting_numpy")
+    assert (args.hidden_dim, args.learning_rate, args.network) == (128, 0.0005, "fc")
+    assert (args.reward_standardisation, args.target_update) == ("none", "soft")
+
+
+@pytest.mark.parametrize("name", sorted(set(NAMES) - set(INDIVIDUAL)))
+def test_what_learns_from_the_team_has_no_flag_for_individual_rewards(name):
+    with pytest.raises(SystemExit) as end:
+        parse(name, ["--individual-rewards"])
+    assert end.value.code == 2 and "individual_rewards" not in vars(parse(name, []))
+
+
 @pytest.mark.parametrize(
     "spelling",
     [
@@ -140,7 +161,8 @@ def test_help_is_in_groups_and_shows_the_values_for_the_chosen_task(name, capsys
     text = capsys.readouterr().out
     defaults = vars(script(name).paper_defaults("matrix-climbing"))
     assert f"(default: {defaults['total_timesteps']})" in " ".join(text.split())
-    assert re.findall("^([a-z]+):$", text, flags=re.MULTILINE) == ["task", "network", "learning", "evaluation", "run"]
+    groups = ["task", "network", "learning", "evaluation", "run", "foreign environments"]
+    assert re.findall("^([a-z ]+):$", text, flags=re.MULTILINE) == groups
     for flag in defaults:
         assert f"--{flag.replace('_', '-')}" in text
     flags = text[text.index("\ntask:") :].splitlines()

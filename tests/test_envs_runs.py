@@ -93,6 +93,12 @@ class TestFlags:
         args = Args(seed=4, run_dir="here", network="gru", total_timesteps=5, parameter_sharing=False)
         assert runs.changed_flags(args, Args()) == {"network": "gru", "total_timesteps": 5}
 
+    def test_what_is_played_is_named_before_how(self) -> None:
+        """Wherever it stands in Args, so that directories of older versions keep their names."""
+        args = SimpleNamespace(gamma=0.5, env_kwargs="N=2", hidden_dim=64, max_episode_steps=9)
+        default = SimpleNamespace(gamma=0.9, env_kwargs="", hidden_dim=128, max_episode_steps=0)
+        assert list(runs.changed_flags(args, default)) == ["env_kwargs", "max_episode_steps", "gamma", "hidden_dim"]
+
     def test_names_of_directories(self, monkeypatch: Any, tmp_path: Path) -> None:
         monkeypatch.chdir(tmp_path)
         for name in ("mappo.py", "iql.py"):
