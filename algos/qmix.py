@@ -162,8 +162,7 @@ class MultiAgentNetwork(nn.Module):
 class Mixer(nn.Module):
     """Mix(q; s) of the docstring above. Small "hypernetworks" of the state make W1, b1, w2 and b2.
 
-    As in the authors' code, W1 and w2 come from two layers with 64 hidden units; in the paper from
-    one. The mix has 32 units.
+    Their sizes are the authors' code's: two layers for W1 and w2, where the paper has one.
     """
 
     def __init__(self, n_agents: int, state_size: int):
