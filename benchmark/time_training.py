@@ -6,18 +6,24 @@ The loop is the script's own `train`, without evaluations and files. Reference p
 networks alone - forward and backward of each trained network on random inputs of a batch's size, as often as the
 algorithm passes over a batch, and the target networks' forward; no optimiser, no loss but a mean square. Loop and
 passes take turns, so that a noisy machine treats them alike. The parts of the loop are timed in it.
+
+On AMD processors there is a line with MKL's fast kernels (envs/fast_mkl.py) and one without them, again in turns.
 """
 
 import argparse
 import contextlib
 import io
 import math
+import multiprocessing
+import os
+import signal
 import statistics
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,8 +33,10 @@ import torch
 from torch import nn
 
 from campaign.scripts import load_script, script_names
+from envs import fast_mkl
 from envs.runs import one_sentence
 
+TURNS = 3
 Timer = Callable[[], float]
 
 
@@ -190,19 +198,34 @@ def main() -> None:
         "--algorithms", nargs="+", default=["mappo"], choices=names, metavar="name", help=", ".join(names)
     )
     parser.add_argument("--env", default="lbf-15x15-3p-5f", help="a task; default: lbf-15x15-3p-5f")
-    parser.add_argument("--seconds", type=float, default=20, help="for each algorithm; default: 20")
+    parser.add_argument("--seconds", type=float, default=20, help="for each algorithm and line; default: 20")
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     chosen = parser.parse_args()
     if not 0 < chosen.seconds < math.inf:
         parser.error("--seconds must be a positive number")
-    for name in chosen.algorithms:
-        found = measure(name, ["--env", chosen.env, *chosen.flags], chosen.seconds)
-        print(
-            f"{found.setting:32s} {found.rate:8,.0f} steps/s, reference passes {found.reference:8,.0f}, "
-            f"share {found.rate / found.reference:.2f}; of the loop: update {found.update:.0%}, "
-            f"acting {found.acting:.0%}, stepping {found.stepping:.0%}",
-            flush=True,
-        )
+    seconds = chosen.seconds / TURNS
+    os.environ[fast_mkl.SWITCH] = "0"  # for the process that starts below; this one has its kernels already
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as without:
+        for name in chosen.algorithms:
+            flags = ["--env", chosen.env, *chosen.flags]
+            fast, plain = [], []
+            for _ in range(TURNS):
+                (fast if fast_mkl.LOADED else plain).append(measure(name, flags, seconds))
+                if fast_mkl.LOADED:
+                    plain.append(without.submit(measure, name, flags, seconds).result())
+            for kernels, found in (("plain", plain), ("fast", fast)):
+                if found:
+                    print(in_words(kernels, found), flush=True)
+
+
+def in_words(kernels: str, found: list[Measurement]) -> str:
+    """The medians of some measurements in one line."""
+    rate, reference, update, acting, stepping = map(statistics.median, zip(*(astuple(each)[1:] for each in found)))
+    return (
+        f"{found[0].setting:32s} {kernels:5s} {rate:8,.0f} steps/s, reference passes {reference:8,.0f}, "
+        f"share {rate / reference:.2f}; of the loop: update {update:.0%}, acting {acting:.0%}, stepping {stepping:.0%}"
+    )
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import itertools
 import json
 import os
 import shutil
@@ -25,6 +26,7 @@ import report
 import time_stepping
 import time_training
 import train_opponents
+from envs import fast_mkl
 from reporting import aggregate, claims, plots, results, tables
 
 BENCHMARK = ROOT / "benchmark"
@@ -1284,9 +1286,11 @@ def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, tmp_path):
     "algorithms, flags", [(["mappo", "coma", "qmix", "maddpg"], []), (["iql"], ["--", "--no-parameter-sharing"])]
 )
 def test_training_speed(monkeypatch, capsys, algorithms, flags):
+    monkeypatch.setattr(time_training, "TURNS", 1)
     run_here(
         monkeypatch, time_training, "--env", "matrix-climbing", "--seconds", "0.1", "--algorithms", *algorithms, *flags
     )
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == algorithms
+    kernels = [["plain"], ["plain", "fast"]][fast_mkl.LOADED]
+    assert [(line.split()[0], line.split()[4]) for line in lines] == list(itertools.product(algorithms, kernels))
     assert all("reference passes" in line and ("independent" in line) == bool(flags) for line in lines)
