@@ -1,61 +1,186 @@
-"""What the README shows works as it stands there."""
+"""What the README and the pages of docs/how-to show works as it stands there."""
 
 import re
+import shlex
 import subprocess
 import sys
+import tomllib
+from functools import cache
 
 import pytest
-from scripts import ROOT
+from scripts import NAMES, ROOT, script
 
-README = (ROOT / "README.md").read_text()
+import envs
+from envs import runs
+
+HOW_TO = ROOT / "docs" / "how-to"
+PAGES = [ROOT / "README.md", *sorted(HOW_TO.glob("*.md"))]
 EXAMPLE = (ROOT / "examples" / "meeting_numpy.py").read_text()
 
 
-def run(program, folder):
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=folder)
+def blocks(page):
+    """A page's Python programs."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
-def blocks():
-    """The README's Python programs: a trained team, one random episode, an environment, ours elsewhere."""
-    return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+def run(*command, folder):
+    return subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=folder)
 
 
-def test_one_random_episode(tmp_path):
-    done = run(blocks()[1], tmp_path)
-    assert done.returncode == 0 and done.stdout.startswith("["), done.stderr
+# ---------------------------------------------------------------------------------------------------------------------
+# Programs
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_trained_team_in_a_few_lines(tmp_path):
     flags = ["--env", "lbf-15x15-3p-5f", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
-    trained = subprocess.run([sys.executable, str(ROOT / "algos/mappo.py"), *flags, "--seed", "1"], cwd=tmp_path)
+    trained = run(str(ROOT / "algos/mappo.py"), *flags, "--seed", "1", folder=tmp_path)
     assert trained.returncode == 0
-    program = blocks()[0].replace("/path/to/marl-baselines/algos", str(ROOT / "algos"))
+    [program] = blocks(HOW_TO / "evaluate-and-film-a-team.md")
+    program = program.replace("/path/to/marl-baselines/algos", str(ROOT / "algos"))
     program = program.replace("/path/to/marl-baselines/", f"{tmp_path}/")
     lines = [line for line in program.splitlines() if line and "env =" not in line and "env.reset" not in line]
-    assert len(lines) == 5  # as the README says, besides the two that make an environment
-    done = run(program + "print(actions.shape)", tmp_path)
+    assert len(lines) == 5  # as the page says, besides the two that make an environment
+    done = run("-c", program + "print(actions.shape)", folder=tmp_path)
     assert done.stdout.strip() == "(4, 3)", done.stderr
 
 
-@pytest.mark.parametrize("index", [3, 4])
+@pytest.mark.parametrize("index", range(3))
 def test_our_environments_in_your_code(index, tmp_path):
-    done = run(blocks()[index], tmp_path)
+    done = run("-c", blocks(HOW_TO / "use-pettingzoo-or-gymnasium.md")[index], folder=tmp_path)
     assert done.returncode == 0, done.stderr
 
 
 def test_an_environment_in_30_lines(tmp_path):
-    (tmp_path / "meeting.py").write_text(blocks()[2])
-    checked = subprocess.run([sys.executable, "-m", "envs", "check", "own:meeting"], cwd=tmp_path, capture_output=True)
-    assert checked.returncode == 0 and b"keeps the contract" in checked.stdout, checked.stderr
-    lines = [line for line in blocks()[2].splitlines() if line]
-    assert len(lines) <= 30
+    [program] = blocks(HOW_TO / "add-an-environment.md")
+    (tmp_path / "meeting.py").write_text(program)
+    checked = run("-m", "envs", "check", "own:meeting", folder=tmp_path)
+    assert checked.returncode == 0 and "keeps the contract" in checked.stdout, checked.stderr
+    assert len([line for line in program.splitlines() if line]) <= 30
     without_types = re.sub(
         r": (int|bool|str|np\.\S+?)(?=[,)])|( -> None)|( {4}\"\"\".*\n)|(\"\"\"[^\"]*\"\"\"\n+)", "", EXAMPLE
     )
-    assert without_types.split() == blocks()[2].split()  # the example has types and says what the game is
+    assert without_types.split() == program.split()  # the example has types and says what the game is
 
 
-def test_links_lead_somewhere():
-    links = re.findall(r"\]\((?!http)([^)#]+)\)", README)
-    assert len(links) > 5
-    assert all((ROOT / link).exists() for link in links)
+# ---------------------------------------------------------------------------------------------------------------------
+# Commands
+# ---------------------------------------------------------------------------------------------------------------------
+
+BY_HAND = {"tensorboard", "sbatch", "git", "ray", "source", "cd", "head=$(hostname"}  # nothing here can try these
+
+
+def commands():
+    """Each command of each page once, with the comment behind it left out."""
+    found = []
+    for page in PAGES:
+        text = page.read_text()
+        shown = re.findall(r"```(?:bash|console)\n(.*?)```", text, flags=re.DOTALL)
+        shown += re.findall(r"\n\n((?: {4}\S.*\n)+)", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+        for line in "\n".join(shown).replace("\\\n", "").splitlines():
+            line = line.strip().removeprefix("$ ")
+            if inner := re.search(r"(?:cd marl-baselines && |-- +)(python benchmark/[^']*)", line):
+                line = inner[1]  # what a cluster is told to run
+            words = shlex.split(line, comments=True)
+            if words and words not in found:
+                found.append(words)
+    return found
+
+
+def check_script(name, flags):
+    """The flags are the script's, and there is such a task or such a team."""
+    module = script("mappo" if name == "mine" else name)
+    if "--help" in flags:
+        flags.remove("--help")
+    args = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
+    envs.task(args.env)
+    if args.watch and not args.watch.startswith("runs/"):
+        assert (ROOT / args.watch).exists()
+
+
+@cache
+def help_of(path):
+    done = run(path, "--help", folder=ROOT)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def check_program(path, words):
+    """The program has these flags, and behind -- those of a script; algorithms and tasks are there.
+
+    What such a command does is tested in test_benchmark*.py; here it would take hours.
+    """
+    own, behind = words, []
+    if "--" in words:
+        own, behind = words[: words.index("--")], words[words.index("--") + 1 :]
+    assert all(re.search(rf"{word}\b", help_of(path)) for word in own if word.startswith("--"))
+    named = re.findall(r"--(algorithms|tasks) ((?:(?!--)\S+ ?)+)", " ".join(own))
+    for kind, names in named:
+        for name in names.split():
+            if kind == "algorithms":
+                assert name in (*NAMES, "all", "mine")
+            elif name not in ("all", "matrix", "mpe", "smac", "lbf", "rware"):
+                envs.task(name)
+    check_script("mappo", behind)
+
+
+@pytest.mark.parametrize("words", commands(), ids=" ".join)
+def test_commands(words, tmp_path):
+    program, *rest = words
+    if "..." in words or any(word.startswith("<") for word in words):
+        pytest.skip("to be filled in by the reader")
+    if program == "python" and rest[0].startswith("algos/"):
+        check_script(rest[0].removeprefix("algos/").removesuffix(".py"), rest[1:])
+    elif program == "python" and rest[0].startswith("benchmark/"):
+        check_program(rest[0], rest[1:])
+    elif program == "python" and rest[:2] == ["-m", "envs"]:
+        [meeting] = blocks(HOW_TO / "add-an-environment.md")
+        (tmp_path / "meeting.py").write_text(meeting)
+        done = run(*rest, folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+    elif program == "pip" and rest[:2] == ["install", "-e"]:
+        extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+        assert all(extra in extras for extra in re.findall(r"\[(\w+)\]", rest[2]))
+    elif program in ("diff", "cp"):
+        assert all((ROOT / word).exists() for word in rest if word.startswith("algos/") and "mine" not in word)
+    else:
+        assert program in BY_HAND or words[:2] == ["pip", "install"], "nobody tries this command"
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The pages
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    text = page.read_text()
+    links = re.findall(r"\]\((?!http)([^)#]+)", text) + re.findall(r"\{source\}`([^`]+)`", text)
+    there = [page.parent, ROOT]
+    assert all(any((folder / link).exists() for folder in there) for link in links)
+
+
+def test_the_readme_is_read_in_two_minutes():
+    assert len((ROOT / "README.md").read_text().split()) < 1000
+
+
+def test_the_lines_that_a_diff_shows():
+    """The README says how many lines of code make the difference, besides descriptions and hyperparameters."""
+
+    def code(name):
+        text = (ROOT / "algos" / f"{name}.py").read_text()
+        text = text[text.index("@dataclass") :]
+        return [line.strip() for line in text.splitlines()]
+
+    assert len(set(code("maa2c")) - set(code("ia2c"))) == 2
+
+
+FIGURES = ROOT / "docs" / "paper-run-again.md"
+
+
+@pytest.mark.parametrize("part", re.findall(r"\$ python docs/paper_run_again.py (\w+)", FIGURES.read_text()))
+def test_the_paper_run_again(part):
+    shown = re.search(rf"\$ python docs/paper_run_again.py {part}\n(.*?)```", FIGURES.read_text(), flags=re.DOTALL)
+    done = run("docs/paper_run_again.py", part, folder=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert shown is not None and shown[1] == done.stdout
