@@ -4,12 +4,12 @@
 
 writes into the output folder
 
-    README.md      tables, figures and claims, between two markers; what stands around them stays
+    RESULTS.md     tables, figures and claims
     figures/       the figures, PNG and SVG
     latex/         the paper's tables with our values, one file each
 
-and, where the output is this folder, the short version in the repository's README.md. `--marl-eval` also writes the
-evaluations in marl-eval's JSON, for other programs.
+and, where the output is this folder, the short version into the repository's README.md, between two markers.
+`--marl-eval` also writes the evaluations in marl-eval's JSON, for other programs.
 
     python benchmark/report.py --grid benchmark/searches/paper
 
@@ -199,36 +199,37 @@ class Report:
         return tables.to_markdown(header, body) if body else "", len(claims.CLAIMS) - len(body)
 
     def long(self) -> str:
-        """What stands in benchmark/README.md."""
+        """What stands in RESULTS.md."""
         seeds = self.evaluations.groupby([*KEY, "seed"]).ngroups
         tasks = self.evaluations["task"].nunique()
-        parts = [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
-        parts += ["### Tables", tables.LEGEND]
+        parts = ["# Results", "Made by `python benchmark/report.py`."]
+        parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
+        parts += ["## Tables", tables.LEGEND]
         for metric, title in tables.TITLES.items():
             for sharing, words in plots.SHARING.items():
                 if table := tables.markdown(self.both, metric, sharing):
-                    parts += [f"#### {title}, {words}", table]
+                    parts += [f"### {title}, {words}", table]
         if len(self.compared):
-            parts += ["#### Where we are further from the paper than both intervals together", self.differences()]
+            parts += ["### Where we are further from the paper than both intervals together", self.differences()]
         if table := tables.variants(self.evaluations, self.ours):
-            parts += ["#### Other flags and budgets", table]
+            parts += ["### Other flags and budgets", table]
         if figures := self.figures():
-            parts += ["### Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
+            parts += ["## Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
         if len(self.normalised):
-            parts += ["### Over all tasks", OVER_ALL]
+            parts += ["## Over all tasks", OVER_ALL]
         for sharing, words in plots.SHARING.items():
             if table := self.interquartile_means(sharing):
-                parts += [f"#### Interquartile means, {words}", table]
+                parts += [f"### Interquartile means, {words}", table]
         for sharing, words in plots.SHARING.items():
             if table := self.improvements(sharing):
-                parts += [f"#### Probability of improvement, {words}", table]
+                parts += [f"### Probability of improvement, {words}", table]
         if len(self.hours):
-            parts += ["### CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
+            parts += ["## CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
-            parts += ["### Simulation speed, environment steps per second on one core", self.speed_table()]
+            parts += ["## Simulation speed, environment steps per second on one core", self.speed_table()]
         table, missing = self.claims_table()
         if table:
-            parts += ["### The paper's claims", CLAIMS_WORDS, table]
+            parts += ["## The paper's claims", CLAIMS_WORDS, table]
         if table and missing:
             parts.append(f"{missing} of the {len(claims.CLAIMS)} claims are not measured at all yet.")
         return paragraphs(parts)
@@ -236,13 +237,11 @@ class Report:
     def short(self) -> str:
         """What stands in the repository's README.md."""
         parts = [
-            "Default flags, seeds from 0 on. The evaluations, and commit, versions and machine of each seed, are in "
-            "[benchmark/results/](benchmark/results). Maximum returns with parameter sharing and the paper's budgets, "
-            "the paper's in brackets (a small number: so many seeds instead of five; °: the maximum lies before "
-            "training, and is the luck of random networks):",
+            "Maximum returns with parameter sharing and the paper's budgets on one task of each family, the paper's in "
+            "brackets (a small number: so many seeds instead of five; °: the maximum lies before training):",
             tables.short(self.both),
-            f"{self.agreement()} Intervals, average returns, learning curves of every task, CPU hours and the paper's "
-            "claims one by one are in [benchmark/README.md](benchmark/README.md).",
+            f"{self.agreement()} [All tables](benchmark/RESULTS.md) have intervals, average returns, learning curves, "
+            "CPU hours and the paper's claims one by one.",
         ]
         if "normalised-shared" in self.figures():
             parts.append("![Normalised returns over training](benchmark/figures/normalised-shared.png)")
@@ -315,9 +314,8 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
 
 
 def between_markers(path: Path, text: str) -> str:
-    """The file's text with `text` between the markers; a new one where there is no file. Raises ValueError where a file
-    lacks the markers."""
-    whole = path.read_text(encoding="utf-8") if path.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
+    """The file's text with `text` between the markers. Raises ValueError where the file lacks them."""
+    whole = path.read_text(encoding="utf-8")
     before, begin, rest = whole.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
@@ -343,7 +341,7 @@ def main() -> None:
             runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
         (args.output / "figures").mkdir(parents=True, exist_ok=True)
         (args.output / "latex").mkdir(exist_ok=True)
-        texts = {args.output / "README.md": between_markers(args.output / "README.md", report.long())}
+        texts = {args.output / "RESULTS.md": report.long() + "\n"}
         if args.output.resolve() == HERE:
             texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
         for metric in tables.TITLES:

@@ -9,7 +9,8 @@ all of them at their next checkpoint, and the same command goes on. A run that f
 directory (log-seed<k>.txt), and the others go on. Exit code 0: the results have the whole plan; 1: they do not;
 2: wrong input; 128 and the number of the signal: stopped.
 
-Flags behind -- are for the scripts, such as -- --total-timesteps 1000000. On a cluster see cluster.md.
+Flags behind -- are for the scripts, such as -- --total-timesteps 1000000. For clusters see
+docs/how-to/campaign-on-many-machines.md.
 """
 
 import argparse

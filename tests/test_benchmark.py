@@ -928,11 +928,12 @@ def test_a_claim_is_decided_once_missing_tasks_cannot_change_it():
 # ---------------------------------------------------------------------------------------------------- the report
 
 
-def test_the_readmes_are_up_to_date():
+def test_the_report_is_up_to_date():
     made = report.Report(results.RESULTS)
     how = "run python benchmark/report.py"
-    for path, text in ((BENCHMARK / "README.md", made.long()), (ROOT / "README.md", made.short())):
-        assert path.read_text(encoding="utf-8") == report.between_markers(path, text), how
+    readme = ROOT / "README.md"
+    assert readme.read_text(encoding="utf-8") == report.between_markers(readme, made.short()), how
+    assert (BENCHMARK / "RESULTS.md").read_text(encoding="utf-8") == made.long() + "\n", how
     for name in made.figures():
         with Image.open(BENCHMARK / "figures" / f"{name}.png") as image:
             assert image.info["Source"] == made.digest, how
@@ -997,7 +998,7 @@ def test_many_results_are_reported_soon(monkeypatch, tmp_path):
     start = time.process_time()
     write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "m.json"))
     assert time.process_time() - start < 60  # CPU seconds: others may use the machine too
-    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8")
     assert all(f"| {task} | ours |" in text for task in tasks)
     assert len(list((tmp_path / "out" / "latex").glob("*.tex"))) == 6
     figures = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
@@ -1014,8 +1015,8 @@ def test_an_algorithm_of_your_own_is_reported_beside_the_papers(monkeypatch, tmp
         settings = json.loads(own.with_name(f"mappo-{sharing}.json").read_text())
         own.with_suffix(".json").write_text(json.dumps(settings | {"algorithm": "my_mappo"}))
     write_report(monkeypatch, tmp_path)
-    lines = (tmp_path / "out" / "README.md").read_text(encoding="utf-8").splitlines()
-    start = lines.index("#### Maximum returns, with parameter sharing")
+    lines = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8").splitlines()
+    start = lines.index("### Maximum returns, with parameter sharing")
     assert lines[start + 2].endswith("| QMIX | MY_MAPPO |") and lines[start + 4].count("**") == 2
     assert lines[start + 4].split(" | ")[-1].startswith("**") and lines[start + 6].endswith("| - |")
     assert sum(line.startswith("| MY_MAPPO") for line in lines) == 6  # two tables of each sharing, two CPU lines
@@ -1033,7 +1034,7 @@ def test_a_single_run_of_a_foreign_task_is_reported(monkeypatch, tmp_path):
         write_report(monkeypatch, tmp_path)
         collect.collect_run(directory, tmp_path / "results")
     write_report(monkeypatch, tmp_path)
-    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8")
     assert "| gymnasium:Some-v1 | ours |  |  |  |  |  |  | **10.50** ¹ |" in text and "network gru" in text
     assert (tmp_path / "out" / "figures" / "curves-other-shared.png").exists()
 
@@ -1042,9 +1043,9 @@ def test_a_report_of_changed_flags_alone(monkeypatch, tmp_path, capsys):
     directory = make_run(tmp_path / "run", changed={"total_timesteps": 1000, "network": "gru"})
     collect.collect_run(directory, tmp_path / "results")
     write_report(monkeypatch, tmp_path)
-    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8")
     assert "1 run on 1 task. None of our values is of one of the paper's tasks with" in text and "network gru" in text
-    assert "### Figures" not in text and "### Over all tasks" not in text
+    assert "## Figures" not in text and "## Over all tasks" not in text
     with pytest.raises(SystemExit):
         write_report(monkeypatch, tmp_path, "--marl-eval", str(tmp_path / "m.json"))
     assert "there are none" in capsys.readouterr().err and not (tmp_path / "m.json").exists()
@@ -1071,7 +1072,7 @@ def test_a_report_of_short_runs_compares_nothing_with_the_paper(monkeypatch, tmp
         (directory / "config.json").write_text(json.dumps(config | {"algorithm": algorithm}))
         collect.collect_run(directory, tmp_path / "results")
     write_report(monkeypatch, tmp_path)
-    text = (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8")
     assert "None of our values is of one of the paper's tasks with its budget and flags." in text
     for absent in ("Where we are further", "| difference |", "not measured", "claim"):
         assert absent not in text
