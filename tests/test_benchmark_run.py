@@ -261,6 +261,16 @@ class TestPlan:
         (same,) = make_plan("mappo", "matrix-climbing", flags=["--learning-rate", "0.5"])
         assert same.changed == {} and same.directory == Path("runs/matrix-climbing/mappo-shared/seed0")
 
+    @pytest.mark.parametrize("flags", [[], ["--total-timesteps", "1000"], ["--hidden-dim", "8", "--gamma", "0.5"]])
+    def test_a_run_by_hand_has_the_same_directory(self, monkeypatch, flags):
+        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
+        (planned,) = make_plan("ia2c", "matrix-climbing", flags=flags)
+        module: Any = plan.script("ia2c")
+        words = ["--env", "matrix-climbing", *flags]
+        args = module.runs.parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
+        default = module.paper_defaults("matrix-climbing")
+        assert module.runs.RunDirectory(scripts.ALGOS / "ia2c.py", args, default).path == planned.directory
+
     @pytest.mark.parametrize(
         "words, said",
         [
@@ -308,6 +318,10 @@ class TestPlan:
             ("algorithms,families,flag,values\nia2c,matrix,pace\n", "its columns must be"),
             ("algorithms,families,flag,values\nia2c,matrix,pace,\n", "without values: pace"),
             ("algorithms,families,flag,values\nmappo,matrix,pace,1\n", "no line for ia2c"),
+            (
+                "algorithms,families,flag,values\nia2c,matrix,eval_points,5 6\n",
+                "must differ in more than total_timesteps",
+            ),
             (
                 "algorithms,families,flag,values\nia2c,matrix,eval_points,5\nia2c iql,matrix lbf,eval-points,9\n",
                 "two lines of eval_points for ia2c",
@@ -373,7 +387,6 @@ class TestRunning:
     def test_a_run_with_other_flags_is_left_alone(self, monkeypatch, capsys, steps):
         """One that was made by hand, shorter or longer, in the directory that a script chooses by itself."""
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere", "--", "--total-timesteps", steps) == 0
-        folder_of(0, f"ia2c-shared-total-timesteps={steps}").parent.rename(folder_of(0).parent)
         before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
         capsys.readouterr()
         monkeypatch.setattr(run, "measure", measured)
@@ -711,7 +724,7 @@ class TestDryRun:
     def test_what_is_done_of_a_run_needs_no_hours(self, monkeypatch, capsys):
         steps = 36_000_000
         flags = ["--dry-run", "--seeds", 1, "--", "--total-timesteps", steps]
-        begun = folder_of(0, f"ia2c-shared-total-timesteps={steps}")
+        begun = folder_of(0)
         begun.mkdir(parents=True)
         zipfile.ZipFile(begun / "checkpoint.pt", "w").close()
         changed = {"total_timesteps": steps}
@@ -1022,7 +1035,7 @@ class TestSearch:
 
     def test_budgets_do_not_compare(self, monkeypatch):
         for rate, steps in ((0.25, 20), (1.0, 20), (1.0, 60)):
-            flags = ["--", "--learning-rate", rate, "--total-timesteps", steps]
+            flags = ["--runs", f"runs-of-{steps}", "--", "--learning-rate", rate, "--total-timesteps", steps]
             assert campaign(monkeypatch, "--seeds", 1, *flags) == 0
         said = search.search_report(Path("results"))
         assert "2 variants, 2 runs of 20 timesteps (the paper: 40). The winner: learning_rate 1.0." in said

@@ -12,8 +12,8 @@ from typing import Any
 import envs
 from campaign import scripts
 from collect import NotComplete, read_run
-from envs.runs import changed_flags, parse_flags, script_hash
-from reporting.results import has_seed, read_json, table_path
+from envs.runs import changed_flags, parse_flags, run_path, script_hash
+from reporting.results import has_seed, read_json
 
 Flags = tuple[str, ...]
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
@@ -141,23 +141,28 @@ def make_plan(
     runs: Path,
 ) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""
-    settings = []
+    settings: dict[str, dict[str, Any]] = {}  # each once
     for task, algorithm, sharing in itertools.product(tasks, algorithms, sharings):
         family = envs.task(task).family
         chosen = [()] if grid is None else list(variants(grid, algorithm, family))
         if chosen == [()] and grid is not None:
             raise envs.InputError(f"the grid has no line for {algorithm} on tasks of the family {family}.")
-        settings += [make_setting(algorithm, task, sharing, (*variant, *flags), runs) for variant in chosen]
-    plan = [
-        PlannedRun(**setting, seed=seed, directory=folder / f"seed{seed}")
-        for seed in range(seeds)
-        for setting, folder in settings
-    ]
-    return list({run.directory: run for run in plan}.values())
+        for variant in chosen:
+            setting = make_setting(algorithm, task, sharing, (*variant, *flags))
+            settings[json.dumps([task, algorithm, sharing, setting["changed"]], sort_keys=True)] = setting
+    plan = []
+    for seed, setting in itertools.product(range(seeds), settings.values()):
+        one, changed = (setting["algorithm"], setting["task"], setting["sharing"]), setting["changed"]
+        plan.append(PlannedRun(**setting, seed=seed, directory=run_path(runs, *one, seed, changed)))
+    if len({run.directory for run in plan}) < len(plan):
+        raise envs.InputError(
+            "variants of a grid must differ in more than total_timesteps, eval_points, eval_episodes."
+        )
+    return plan
 
 
-def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: Path) -> tuple[dict[str, Any], Path]:
-    """What all seeds of a setting have in common, and their folder."""
+def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags) -> dict[str, Any]:
+    """What all seeds of a setting have in common."""
     for word in flags:
         name = word.partition("=")[0].removeprefix("--").replace("-", "_").removeprefix("no_")
         if word.startswith("--") and name in OF_THIS_PROGRAM:
@@ -175,9 +180,9 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
     if args.eval_points < 2:
-        raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before scripts.")
+        raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
     changed = json.loads(json.dumps(changed_flags(args, paper)))  # as config.json has them: a tuple becomes a list
-    setting = {
+    return {
         "algorithm": algorithm,
         "task": task,
         "sharing": sharing,
@@ -185,7 +190,6 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags, runs: P
         "changed": changed,
         "total_timesteps": args.total_timesteps,
     }
-    return setting, table_path(runs, algorithm, task, sharing, changed)
 
 
 def script(algorithm: str) -> Any:

@@ -18,6 +18,7 @@ from envs.runs.directory import (
     is_whole,
     last_checkpoint,
     read_checkpoint,
+    run_path,
     safe_name,
     write_whole,
 )
@@ -47,6 +48,7 @@ __all__ = [
     "parse_flags",
     "provenance",
     "read_checkpoint",
+    "run_path",
     "safe_name",
     "say",
     "script_hash",

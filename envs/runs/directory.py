@@ -119,6 +119,18 @@ def safe_name(text: str) -> str:
     return name
 
 
+def run_path(runs: Path, algorithm: str, task: str, sharing: bool, seed: int, changed: Mapping[str, Any]) -> Path:
+    """<runs>/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...]/seed<seed>, safe for every file system.
+
+    changed: the flags that differ from the paper's. How long a run is does not count, since it may be lengthened.
+    """
+    setting = f"{algorithm}-{'shared' if sharing else 'independent'}"
+    for name, value in changed.items():
+        if name not in NOT_IN_DIRECTORY:
+            setting += f"-{name.replace('_', '-')}={value}"
+    return runs / safe_name(task) / safe_name(setting) / f"seed{seed}"
+
+
 class RunDirectory:
     """The directory of one run. It is locked while the process lives, and its files are written whole or not at all."""
 
@@ -133,7 +145,10 @@ class RunDirectory:
         self.config = describe(script, args, default)
         self._stopwatch = Stopwatch()
         self._saved_at = time.monotonic()
-        self.path = path = Path(args.run_dir) if args.run_dir else self._default_path()
+        usual = run_path(
+            Path("runs"), self.config["algorithm"], args.env, args.parameter_sharing, args.seed, self.config["changed"]
+        )
+        self.path = path = Path(args.run_dir) if args.run_dir else usual
         try:
             found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
@@ -150,14 +165,6 @@ class RunDirectory:
             raise
         except ValueError as error:  # a character that the file system's encoding lacks, or a NUL
             raise InputError(f"No directory can have the name {str(path)!a}: {error}.") from None
-
-    def _default_path(self) -> Path:
-        """runs/<task>/<algorithm>-<shared|independent>[-<flag>=<value>...]/seed<seed>, safe for every file system."""
-        setting = f"{self.config['algorithm']}-{'shared' if self.args.parameter_sharing else 'independent'}"
-        for name, value in self.config["changed"].items():
-            if name not in NOT_IN_DIRECTORY:
-                setting += f"-{name.replace('_', '-')}={value}"
-        return Path("runs", safe_name(self.args.env), safe_name(setting), f"seed{self.args.seed}")
 
     @staticmethod
     def _is_ours(name: str) -> bool:
