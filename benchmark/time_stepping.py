@@ -47,9 +47,9 @@ def rate(play: Callable[[], int], seconds: float) -> float:
     return best
 
 
-def ours(name: str, num_envs: int, copy: bool) -> Callable[[], int]:
+def ours(name: str, num_envs: int) -> Callable[[], int]:
     """Plays one episode of every sub-environment."""
-    env = envs.make(name, num_envs, copy=copy)
+    env = envs.make(name, num_envs, copy=False)
     env.reset()
     if envs.task(name).family == "smac":
         return battles(env)
@@ -93,16 +93,16 @@ def battles(env: envs.VectorEnv) -> Callable[[], int]:
 
 def original(name: str) -> Callable[[], int] | None:
     """Plays one episode of the package that the task comes from, or None where there is none or it is missing."""
-    if name.startswith("mpe"):
-        return original_mpe(name)
-    build = {"lbf": lbforaging, "rware": rware}.get(name.partition("-")[0])
-    if build is None:
-        return None
+    play = {"lbf": lbforaging, "rware": rware, "mpe": mpe2, "mpe2": mpe2}.get(name.partition("-")[0])
     try:
-        env = build(name)
+        return play(name) if play else None
     except envs.InputError as error:
         print(error, file=sys.stderr)
         return None
+
+
+def episodes(env: Any) -> Callable[[], int]:
+    """Plays an episode of a package that follows the interface of old Gym."""
     env.reset(seed=0)
     n_agents, n_actions = len(env.action_space), env.action_space[0].n
     prepared = itertools.cycle(np.random.default_rng(0).integers(0, n_actions, (ACTIONS, n_agents)).tolist())
@@ -117,11 +117,11 @@ def original(name: str) -> Callable[[], int] | None:
     return play
 
 
-def lbforaging(name: str) -> Any:
-    """The package's game of a name as in `envs.tasks`."""
+def lbforaging(name: str) -> Callable[[], int]:
+    """Plays the package's game of a name as in `envs.tasks`."""
     package = envs.optional("lbforaging.foraging", "test")
     config = envs.task(name).settings
-    return package.ForagingEnv(
+    env = package.ForagingEnv(
         players=config["n_agents"],
         min_player_level=1,
         max_player_level=2,
@@ -133,13 +133,14 @@ def lbforaging(name: str) -> Any:
         max_episode_steps=50,
         force_coop=config["cooperative"],
     )
+    return episodes(env)
 
 
-def rware(name: str) -> Any:
-    """The package's game of a name as in `envs.tasks`."""
+def rware(name: str) -> Callable[[], int]:
+    """Plays the package's game of a name as in `envs.tasks`."""
     package = envs.optional("rware.warehouse", "test")
     config = envs.task(name).settings
-    return package.Warehouse(
+    env = package.Warehouse(
         shelf_columns=(config["columns"] - 1) // 3,
         column_height=8,
         shelf_rows=(config["rows"] - 2) // 9,
@@ -151,6 +152,26 @@ def rware(name: str) -> Any:
         max_steps=500,
         reward_type=package.RewardType.INDIVIDUAL,
     )
+    return episodes(env)
+
+
+def mpe2(name: str) -> Callable[[], int]:
+    """The same for the particle environments; where a task has an opponent, all agents act at random."""
+    versions = {"speaker-listener": "v4", "spread": "v3", "adversary": "v3", "tag": "v3"}
+    scenario = name.split("-", 1)[1].removesuffix("-selfplay")
+    package = envs.optional(f"mpe2.simple_{scenario.replace('-', '_')}_{versions[scenario]}", "test")
+    env = package.parallel_env(max_cycles=25)
+    numbers = [env.action_space(agent).n for agent in env.possible_agents]
+    drawn = np.random.default_rng(0).integers(0, numbers, (ACTIONS, len(numbers))).tolist()
+    prepared = itertools.cycle([dict(zip(env.possible_agents, actions)) for actions in drawn])
+
+    def play() -> int:
+        env.reset(seed=0)
+        for _ in range(25):
+            env.step(next(prepared))
+        return 25
+
+    return play
 
 
 def label(num_envs: int) -> str:
@@ -169,29 +190,6 @@ def keep(path: Path, task: str, speeds: dict[str, float], origin: dict[str, Any]
     runs.write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
 
-def original_mpe(name: str) -> Callable[[], int] | None:
-    """The same for the particle environments; where a task has an opponent, all agents act at random."""
-    versions = {"speaker-listener": "v4", "spread": "v3", "adversary": "v3", "tag": "v3"}
-    scenario = name.split("-", 1)[1].removesuffix("-selfplay")
-    try:
-        package = envs.optional(f"mpe2.simple_{scenario.replace('-', '_')}_{versions[scenario]}", "test")
-    except envs.InputError as error:
-        print(error, file=sys.stderr)
-        return None
-    env = package.parallel_env(max_cycles=25)
-    numbers = [env.action_space(agent).n for agent in env.possible_agents]
-    drawn = np.random.default_rng(0).integers(0, numbers, (ACTIONS, len(numbers))).tolist()
-    prepared = itertools.cycle([dict(zip(env.possible_agents, actions)) for actions in drawn])
-
-    def play() -> int:
-        env.reset(seed=0)
-        for _ in range(25):
-            env.step(next(prepared))
-        return 25
-
-    return play
-
-
 @one_sentence(__file__)
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
@@ -199,7 +197,6 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS, help=f"default: {' '.join(DEFAULT_TASKS)}")
     parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100], help="so many side by side")
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")
-    parser.add_argument("--copy", action="store_true", help="measure with copy=True")
     parser.add_argument("--output", type=Path, help="a CSV, as benchmark/results/stepping.csv")
     args = parser.parse_args()
     if min(args.num_envs) < 1 or not 0 < args.seconds < math.inf:
@@ -225,7 +222,7 @@ def main() -> None:
         if play := original(name):
             speeds["original package"] = rate(play, args.seconds)
         for number in args.num_envs:
-            speeds[label(number)] = rate(ours(name, number, args.copy), args.seconds)
+            speeds[label(number)] = rate(ours(name, number), args.seconds)
         theirs = paper.get(paper_task(name))
         cells = [f"{value:>12,.0f}" if value else f"{'-':>12}" for value in (theirs, speeds.get("original package"))]
         cells += [f"{speeds[label(number)]:>17,.0f}" for number in args.num_envs]

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import filelock
 
-from campaign import plan, scripts
+from campaign import plan
 from campaign.plan import PlannedRun
 from campaign.view import LineView, TableView
 from collect import collect_run
@@ -52,7 +52,7 @@ class LocalJob:
         run.directory.parent.mkdir(parents=True, exist_ok=True)
         with open(run.log, "wb") as log:
             self.process = subprocess.Popen(
-                run.command(scripts.ALGOS, run.directory),
+                run.command(),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -44,10 +44,10 @@ class PlannedRun:
         """The script's command line, without its directory."""
         return ["--seed", str(self.seed), *script_flags(self.task, self.sharing, self.flags)]
 
-    def command(self, algos: Path, directory: Path) -> list[str]:
-        """The command that begins the run in this directory, or goes on with what is there."""
-        script_file = str(algos / f"{self.algorithm}.py")
-        return [sys.executable, script_file, *self.arguments(), "--run-dir", str(directory), "--resume"]
+    def command(self) -> list[str]:
+        """The command that begins the run in its directory, or goes on with what is there."""
+        script_file = str(scripts.ALGOS / f"{self.algorithm}.py")
+        return [sys.executable, script_file, *self.arguments(), "--run-dir", str(self.directory), "--resume"]
 
     @property
     def log(self) -> Path:
