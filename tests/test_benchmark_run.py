@@ -713,13 +713,18 @@ class TestDryRun:
         assert campaign(monkeypatch, "--seeds", 2, "--jobs", 2, "--dry-run") == 0
         said = capsys.readouterr().out
         assert "seed 0: in the results" in said and "seed 1: new" in said
-        assert campaign(monkeypatch, "--jobs", 2, "--dry-run", "--", "--total-timesteps", steps) == 0
+        assert campaign(monkeypatch, "--runs", "long", "--jobs", 2, "--dry-run", "--", "--total-timesteps", steps) == 0
         said = capsys.readouterr().out  # 5 seeds of 36 million steps at 10,000 a second: one hour each
         assert "matrix-climbing ia2c shared: 10,000 steps/s, 5.00 core hours" in said
         assert "In all 5.0 core hours, with --jobs 2 about 2:30:00" in said
-        assert campaign(monkeypatch, "--seeds", 1, "--jobs", 9, "--dry-run", "--", "--total-timesteps", steps) == 0
+        assert (
+            campaign(
+                monkeypatch, "--runs", "long", "--seeds", 1, "--jobs", 9, "--dry-run", "--", "--total-timesteps", steps
+            )
+            == 0
+        )
         assert "with --jobs 9 about 1:00:00" in capsys.readouterr().out  # one run, however many there could be
-        assert not list(Path("runs").rglob("*total-timesteps*"))
+        assert not Path("long").exists()
 
     def test_what_is_done_of_a_run_needs_no_hours(self, monkeypatch, capsys):
         steps = 36_000_000
