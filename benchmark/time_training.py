@@ -209,17 +209,18 @@ def main() -> None:
     with ProcessPoolExecutor(1, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as without:
         for name in chosen.algorithms:
             flags = ["--env", chosen.env, *chosen.flags]
-            fast, plain = [], []
+            fast: list[Measurement] = []
+            plain: list[Measurement] = []
             for _ in range(TURNS):
                 (fast if fast_mkl.LOADED else plain).append(measure(name, flags, seconds))
                 if fast_mkl.LOADED:
                     plain.append(without.submit(measure, name, flags, seconds).result())
             for kernels, found in (("plain", plain), ("fast", fast)):
                 if found:
-                    print(in_words(kernels, found), flush=True)
+                    print(medians(kernels, found), flush=True)
 
 
-def in_words(kernels: str, found: list[Measurement]) -> str:
+def medians(kernels: str, found: list[Measurement]) -> str:
     """The medians of some measurements in one line."""
     rate, reference, update, acting, stepping = map(statistics.median, zip(*(astuple(each)[1:] for each in found)))
     return (

@@ -25,6 +25,7 @@ def few_updates(monkeypatch, name, task, sharing, **flags):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("sharing", [True, False])
+@pytest.mark.slow
 def test_a_few_updates(monkeypatch, name, sharing):
     for task in [task for task in TASKS if not task.endswith("-selfplay")]:
         few_updates(monkeypatch, name, task, sharing)

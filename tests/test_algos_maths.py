@@ -257,6 +257,7 @@ class TestCollect:
 @pytest.mark.parametrize("sharing", [True, False])
 @pytest.mark.parametrize("network", ["fc", "gru"])
 @pytest.mark.parametrize("individual", [False, True])
+@pytest.mark.slow
 def test_every_parameter_learns(monkeypatch, name, sharing, network, individual):
     """After one update every parameter of actors and critics, of each agent's own networks too, has a gradient."""
     if name == "coma" and individual:
@@ -344,6 +345,7 @@ def test_what_is_trained_and_how_fast(monkeypatch, name, network):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_the_seed_reaches_networks_actions_and_environments(monkeypatch, name):
     def begin(seed):
         """The networks' weights, what the generator draws next, and the first observations."""

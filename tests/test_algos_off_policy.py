@@ -148,6 +148,7 @@ def slow_maddpg_losses(args, parts, batch, noise):
 @pytest.mark.parametrize("name, individual", REWARDS)
 @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
 @pytest.mark.parametrize("sharing, network, standardisation", [(True, "fc", "none"), (False, "gru", "batch")])
+@pytest.mark.slow
 def test_losses_of_the_first_update(name, individual, time_limit, sharing, network, standardisation):
     """Losses and gradients against the slow ones."""
     module = script(name)
@@ -195,6 +196,7 @@ def slow_update(name, args, parts, batch):
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.slow
 def test_updates_in_a_row(name):
     """Adam, clipping and soft targets with the losses: a mistake in what one update leaves to the next shows here."""
     module = script(name)

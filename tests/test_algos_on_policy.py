@@ -113,6 +113,7 @@ def slow_update(name, args, parts, batch, clips):
     "sharing, network, standardisation, individual",
     [(True, "fc", "none", False), (False, "gru", "batch", False), (True, "gru", "none", True)],
 )
+@pytest.mark.slow
 def test_updates_in_a_row(name, time_limit, sharing, network, standardisation, individual):
     """Losses, and with Adam, clipping and a target that is not the critic what all networks become."""
     if name == "coma" and individual:

@@ -125,6 +125,7 @@ def gumbel_softmax_with(noise):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.slow
 def test_five_updates_are_those_of_epymarl(monkeypatch, double_precision, name, case):
     """Weights after the first and the last update; losses and norms of the gradients in each."""
     module, recording = script(name), Recording(name, case)

@@ -103,6 +103,7 @@ def copy_of(directory, target):
 
 
 # --- what a run leaves ---
+@pytest.mark.slow
 def test_what_a_run_leaves(finished):
     name, directory = finished
     names = sorted(path.name for path in directory.iterdir())
@@ -116,6 +117,7 @@ def test_what_a_run_leaves(finished):
         assert due <= int(row["timestep"]) < due + longest
 
 
+@pytest.mark.slow
 def test_config_says_what_was_run(finished):
     name, directory = finished
     config = json.loads((directory / "config.json").read_text())
@@ -138,6 +140,7 @@ def test_a_changed_copy_of_a_script_is_told_apart(monkeypatch, capsys, tmp_path)
     assert original != changed
 
 
+@pytest.mark.slow
 def test_tensorboard_has_what_practitioners_look_for(finished):
     name, directory = finished
     events = EventAccumulator(str(directory))
@@ -165,12 +168,14 @@ def test_tensorboard_has_what_practitioners_look_for(finished):
 
 
 # --- the same run again, and after interruptions ---
+@pytest.mark.slow
 def test_same_seed_same_file(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "again")[0] == 0
     assert evaluations(tmp_path / "again") == evaluations(directory)
 
 
+@pytest.mark.slow
 def test_another_seed_another_file(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     few = [*short(name), "--total-timesteps", "2000", "--eval-points", "2"]
@@ -185,6 +190,7 @@ def rows_written(directory):
 
 
 @pytest.mark.parametrize("name", ["mappo", "qmix"])
+@pytest.mark.slow
 def test_killed_and_resumed_is_never_interrupted(name, tmp_path):
     """kill -9 at two random moments of the training, each time after it has got further than before."""
     whole = tmp_path / "whole"
@@ -231,6 +237,7 @@ def test_a_signal_stops_with_a_checkpoint(signal_name, code, monkeypatch, capsys
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no signals to other processes")
+@pytest.mark.slow
 def test_ctrl_c_in_a_process_of_its_own(tmp_path):
     longer = [*short("iql"), "--total-timesteps", "100000000", "--eval-points", "2"]
     process = subprocess.Popen(
@@ -248,6 +255,7 @@ def test_ctrl_c_in_a_process_of_its_own(tmp_path):
     assert len(evaluations(tmp_path / "run")) == 1
 
 
+@pytest.mark.slow
 def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch, capsys, tmp_path):
     """Checkpoints between two evaluations: before a replay holds a batch, and when it does."""
     name, directory = finished
@@ -257,6 +265,7 @@ def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tmp_path):
     """Evaluations may be hours apart, so a run is also saved when the last checkpoint is old; here: always."""
     name, directory = finished
@@ -291,6 +300,7 @@ def test_a_batch_beyond_the_end_adds_no_evaluations(monkeypatch, capsys, tmp_pat
     assert len(rows) == 11 and int(rows[-1]["timestep"]) > 130
 
 
+@pytest.mark.slow
 def test_the_replay_keeps_what_the_checkpoint_before_refers_to(monkeypatch, capsys, tmp_path):
     """The last checkpoint is damaged, and since then the replay has gone on; the one before finds all its episodes."""
     assert main(monkeypatch, capsys, "vdn", *short("vdn"), "--run-dir", tmp_path / "whole")[0] == 0
@@ -301,6 +311,7 @@ def test_the_replay_keeps_what_the_checkpoint_before_refers_to(monkeypatch, caps
     assert evaluations(tmp_path / "run") == evaluations(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_longer_run_continues_a_complete_one(mappo_run, monkeypatch, capsys, tmp_path):
     """More timesteps on resume: what was there stays, and evaluations go on at the same distance."""
     flags, directory = mappo_run
@@ -342,6 +353,7 @@ def test_a_complete_run_of_a_replay_cannot_grow(monkeypatch, capsys, tmp_path):
     assert {file: (tmp_path / "run" / file).read_bytes() for file in WRITTEN} == before
 
 
+@pytest.mark.slow
 def test_a_complete_run_resumed_changes_nothing(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     copy = copy_of(directory, tmp_path / "run")
@@ -383,6 +395,7 @@ def test_a_full_disk_ends_in_one_sentence(monkeypatch, capsys, tmp_path, name):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_the_start(tmp_path):
     import resource
 
@@ -395,6 +408,7 @@ def test_a_disk_that_is_full_at_the_start(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+@pytest.mark.slow
 def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
     """Its thread meets the error first; only the main thread says so. The checkpoint is small enough, and stays."""
     import resource
@@ -410,6 +424,7 @@ def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.slow
 def test_closed_streams(tmp_path):
     flags = ["--env", "matrix-climbing", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
     line = " ".join(command("mappo", *flags, "--run-dir", tmp_path / "run"))
@@ -418,6 +433,7 @@ def test_closed_streams(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.slow
 def test_a_reader_that_leaves(tmp_path):
     """Help for `head`, and a run behind `tee`, which Ctrl-C ends too."""
     flags = ["--env", "matrix-climbing", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
@@ -470,6 +486,7 @@ class TestWrongInput:
         assert "wandb" in self.one_sentence(said)
         assert [path.name for path in (tmp_path / "run").iterdir()] == ["lock"]  # it can be begun without --track
 
+    @pytest.mark.slow
     def test_a_directory_that_holds_a_run(self, finished, monkeypatch, capsys):
         name, directory = finished
         before = {path.name: path.read_bytes() for path in directory.iterdir()}
@@ -530,6 +547,7 @@ class TestWrongInput:
             flags = [*short("mappo"), "--run-dir", tmp_path / name]
             assert "No directory can have the name" in self.one_sentence(self.refused(monkeypatch, capsys, *flags))
 
+    @pytest.mark.slow
     def test_a_directory_in_use(self, mappo_run, monkeypatch, capsys):
         flags, directory = mappo_run
         with runs.directory.filelock.FileLock(directory / "lock"):
@@ -604,6 +622,7 @@ def test_default_directory_names_what_is_not_default(monkeypatch, capsys, tmp_pa
     assert (tmp_path / expected / "evaluations.csv").exists()
 
 
+@pytest.mark.slow
 def test_load_from_anywhere(mappo_run, tmp_path):
     program = f"""
         import sys
@@ -619,6 +638,7 @@ def test_load_from_anywhere(mappo_run, tmp_path):
     assert done.stdout.strip() == "(4, 2)", done.stderr
 
 
+@pytest.mark.slow
 def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     from PIL import Image
 
@@ -633,6 +653,7 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
         assert getattr(film, "n_frames", 1) > 3
 
 
+@pytest.mark.slow
 def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys):
     """Those of the seed, played by a team that has drawn nothing yet."""
     (name, directory), returns, film = finished, np.zeros(3), envs.film
@@ -653,6 +674,7 @@ def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatc
     assert f"return_mean {returns.mean():.3f}, return_std {returns.std():.3f}," in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_loaded_team_plays_like_the_last_evaluation(finished):
     """Same networks, environment and seeds: the loaded team's return is the last row of evaluations.csv."""
     name, directory = finished
@@ -663,6 +685,7 @@ def test_the_loaded_team_plays_like_the_last_evaluation(finished):
     assert {key: str(value) for key, value in results.items()} == {key: last[key] for key in results}
 
 
+@pytest.mark.slow
 def test_a_greedy_team_is_deterministic(finished):
     """Whatever its seed; and its actions are the best ones that may be taken."""
     name, directory = finished
@@ -680,6 +703,7 @@ def test_a_greedy_team_is_deterministic(finished):
     assert np.array_equal(*drawn) == alike
 
 
+@pytest.mark.slow
 def test_scripts_run_from_any_folder(tmp_path):
     flags = ["--env", "matrix-climbing", "--total-timesteps", "300", "--eval-points", "2", "--eval-episodes", "2"]
     done = run("mappo", *flags, cwd=tmp_path)
@@ -689,6 +713,7 @@ def test_scripts_run_from_any_folder(tmp_path):
 
 # --- learning ---
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_learns_the_penalty_game(name, tmp_path, monkeypatch, capsys):
     """k = 0: every equilibrium that pays 10 a step is found, 250 an episode; random play earns 61."""
     steps = 100_000 if name in ON_POLICY else 10_000
@@ -715,6 +740,7 @@ class Opponents(matrix.Env):
 
 
 @pytest.mark.parametrize("name", INDIVIDUAL)
+@pytest.mark.slow
 def test_opponents_learn_from_their_own_rewards(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(matrix, "Env", Opponents)
     steps = 100_000 if name in ON_POLICY else 10_000

@@ -38,11 +38,12 @@ def run(monkeypatch, capsys):
     """Runs a program of benchmark/ in this process; one of its own would spend seconds on imports."""
 
     def here(program, *flags):
+        monkeypatch.setenv(fast_mkl.SWITCH, os.environ.get(fast_mkl.SWITCH, "1"))  # time_training.py changes it
         for name in NAMES:
             monkeypatch.setitem(sys.modules, name, None)  # so that afterwards all is as it was
         monkeypatch.setattr(sys, "argv", [f"{program.__name__}.py", *map(str, flags)])
         capsys.readouterr()
-        code = 0
+        code: Any = 0
         try:
             program.main()
         except SystemExit as end:
@@ -121,6 +122,7 @@ def test_the_same_run_twice_changes_nothing(tmp_path):
     assert (path.read_bytes(), path.with_suffix(".json").read_bytes()) == before
 
 
+@pytest.mark.slow
 def test_a_seed_with_other_returns_is_kept_unless_it_is_replaced(run, tmp_path):
     there = tmp_path / "results"
     collect.collect_run(make_run(tmp_path / "first"), there)
@@ -238,6 +240,7 @@ def test_a_lengthened_run_and_other_columns_do_not_mix(tmp_path):
     assert {row["seed"] for row in table(there)} == {"0"}
 
 
+@pytest.mark.slow
 def test_damaged_runs_are_named_and_do_not_stop_the_others(run, tmp_path):
     make_run(tmp_path / "runs" / "a")
     (tmp_path / "runs" / "a" / "config.json").write_text('{"algorithm": "map')
@@ -993,6 +996,7 @@ def write_report(monkeypatch, folder, *flags):
     report.main()
 
 
+@pytest.mark.slow
 def test_many_results_are_reported_soon(monkeypatch, tmp_path):
     """90 result files; with BENCHMARK_FULL=1, 1,008 in under a minute."""
     tasks = list(claims.LBF[:5])
@@ -1010,6 +1014,7 @@ def test_many_results_are_reported_soon(monkeypatch, tmp_path):
     assert json.loads((tmp_path / "m.json").read_text()).keys() <= results.FAMILIES.keys()
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_your_own_is_reported_beside_the_papers(monkeypatch, tmp_path):
     make_results(tmp_path / "results", ["matrix-climbing"])
     for sharing in ("shared", "independent"):
@@ -1091,6 +1096,7 @@ def test_claims_that_are_not_measured_take_one_line():
     assert "|  |" not in table  # each line has figures
 
 
+@pytest.mark.slow
 def test_reports_of_nothing_or_of_damaged_results_end_in_a_sentence(run, tmp_path):
     done = run(report, "--results", tmp_path, "--output", tmp_path)
     assert done.returncode == 2 and "there are no results" in done.stderr
@@ -1136,6 +1142,7 @@ def test_a_full_disk_leaves_the_old_figures(monkeypatch, tmp_path):
         ((time_training, "--", "--bogus"), "Unrecognized options: --bogus"),
     ],
 )
+@pytest.mark.slow
 def test_wrong_input_is_named(run, command, said):
     done = run(*command)
     assert done.returncode == 2 and said in done.stderr
@@ -1168,6 +1175,7 @@ def test_stepping_takes_the_best_of_five_measurements(monkeypatch):
     assert not list(durations)
 
 
+@pytest.mark.slow
 def test_stepping_keeps_its_figures(run, tmp_path):
     file = tmp_path / "stepping.csv"
     file.write_text("task,whose,steps_per_second,processor,commit\nmatrix-climbing,old,1,x,y\nother,kept,2,x,y\n")

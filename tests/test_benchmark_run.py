@@ -359,6 +359,7 @@ class TestRunning:
         assert campaign(monkeypatch, *words) == 1
         assert "holds runs of another text of own.py" in capsys.readouterr().out
 
+    @pytest.mark.slow
     def test_runs_are_collected_and_then_skipped(self, monkeypatch, capsys):
         words = ["--algorithms", "ia2c", "iql", "--seeds", 2, "--sharing", "both"]
         assert campaign(monkeypatch, *words) == 0
@@ -470,6 +471,7 @@ class TestRunning:
             job.process.kill()
             job.process.wait()
 
+    @pytest.mark.slow
     def test_ctrl_c_stops_it_in_the_background_of_a_shell_script(self, tmp_path):
         """Where SIGINT is ignored from the start."""
         process = subprocess.Popen(
@@ -494,6 +496,7 @@ class TestRunning:
             run.main()
         assert "Runs that committed has count as done, and new ones are added to it" in capsys.readouterr().err
 
+    @pytest.mark.slow
     def test_a_real_script(self, monkeypatch):
         monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
         flags = ["--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
@@ -630,6 +633,7 @@ class TestDamagedResults:
 
 
 class TestTwoCampaigns:
+    @pytest.mark.slow
     def test_at_once_on_the_same_runs_and_results(self, tmp_path):
         words = ["--seeds", 6, "--jobs", 2, "--", "--pace", "0.01"]
         both = [subprocess.Popen(driver(tmp_path, *words), stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -676,6 +680,7 @@ class TestView:
         said = capsys.readouterr().err
         assert "1 of 2 runs in the results, 1 running" in said and "0 of 2" not in said
 
+    @pytest.mark.slow
     def test_ctrl_c_in_a_terminal(self, tmp_path):
         """A table that is redrawn; Ctrl-C reaches the runs once, and they keep their checkpoints."""
         pid, terminal = pty.fork()
@@ -778,6 +783,7 @@ class TestRay:
         cluster.shutdown()
         folder.cleanup()
 
+    @pytest.mark.slow
     def test_a_stop_and_a_lost_node(self, monkeypatch, capsys, nodes, ray):
         """A signal stops a run, which comes back, is sent there again, and comes back once more, each time with its
         replay, however large that is. Then there are two runs on two nodes, one of which is killed: its run goes on
@@ -827,6 +833,7 @@ class TestRay:
         assert config["commit"] == cluster.commit_here()
         assert not (directories[0] / "progress.json").exists() and not campaigns.in_use(directories[0])
 
+    @pytest.mark.slow
     def test_a_lost_cluster_ends_it_in_a_sentence(self, tmp_path, nodes):
         """Ray itself would wait a minute, and then end the process."""
         machines, _ = nodes
@@ -957,6 +964,7 @@ class TestRay:
         assert cluster.read_files(directory) == {}
         assert cluster.read_files(directory) == {"checkpoint.pt": [b"new"]}
 
+    @pytest.mark.slow
     def test_a_run_that_cannot_begin_says_why(self, monkeypatch, capsys, nodes):
         """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
         from campaign import cluster

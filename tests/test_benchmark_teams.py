@@ -44,6 +44,7 @@ def test_they_are_small_and_of_no_machine():
         assert not {"command", "machine"} & config_of(place).keys() and not saved["config"]["flags"]["run_dir"]
 
 
+@pytest.mark.slow
 def test_watching_one_and_the_wrong_script(tmp_path):
     place = shutil.copytree(PLACES[0], tmp_path / "team")
     algorithm = config_of(place)["algorithm"]

@@ -450,6 +450,7 @@ def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
         (["lbf-6x6"], 2, "unknown task"),
     ],
 )
+@pytest.mark.slow
 def test_the_program(flags: list[str], code: int, says: str) -> None:
     done = subprocess.run([sys.executable, "-m", "envs", "check", *flags], capture_output=True, text=True)
     assert done.returncode == code and says in done.stdout + done.stderr, done.stderr
@@ -515,6 +516,7 @@ def test_an_own_module_may_have_any_name(monkeypatch: pytest.MonkeyPatch) -> Non
     assert isinstance(envs.make("own:foreign", 2), meeting_numpy.Env)
 
 
+@pytest.mark.slow
 def test_a_team_learns_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
     """The best is 0.9 or so; agents who do not move earn -1."""
     run = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)

@@ -40,6 +40,7 @@ needs_library = pytest.mark.skipif(not can_be_built(), reason="needs Linux, an A
     "imports, switch, loaded",
     [("envs, torch", "", True), ("envs, torch", "0", False), ("torch, envs", "", False)],
 )
+@pytest.mark.slow
 def test_it_is_loaded_before_pytorch_unless_it_is_switched_off(imports, switch, loaded):
     said = python(f"import ctypes, {imports}; print(envs.fast_mkl.LOADED, {SAYS_YES})", MARL_FAST_MKL=switch)
     assert said == f"{loaded} {loaded}"
@@ -56,6 +57,7 @@ def test_it_is_built_once(monkeypatch, tmp_path):
 
 
 @needs_library
+@pytest.mark.slow
 def test_products_are_what_they_were_within_rounding(tmp_path):
     import torch
 
@@ -99,6 +101,7 @@ def no_home(path):
 
 
 @pytest.mark.parametrize("machine", ["as it is", "without a compiler"])
+@pytest.mark.slow
 def test_config_json_says_whether_it_was_there(tmp_path, machine):
     variables = {"MARL_FAST_MKL": ""}
     if machine == "without a compiler":

@@ -288,6 +288,7 @@ def test_after_an_interrupted_call_the_workers_have_ended() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no groups of processes")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP", "SIGINT"])
+@pytest.mark.slow
 def test_what_stops_a_run_does_not_stop_its_workers(number: str) -> None:
     """To the group (`timeout`, a closed terminal) and to every process (systemd): at the start and in the middle."""
     play = f"""
@@ -506,6 +507,7 @@ def test_what_is_no_keyword_argument(text: str) -> None:
 
 @pytest.mark.parametrize("task", [SPREAD, LISTENER, PURSUIT, FORAGING, WAREHOUSE])
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_a_few_updates(monkeypatch: pytest.MonkeyPatch, name: str, task: str) -> None:
     few_updates(monkeypatch, name, task, True, max_episode_steps=10, flatten_images=task == PURSUIT)
 
@@ -532,6 +534,7 @@ def test_hyperparameters_of_known_families(env: str, family: str) -> None:
         assert vars(ours) | {"env": example} == vars(parse("mappo", ["--env", example]))
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_through_an_adapter(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
     """kill -9 in the middle, with workers; the end is that of a run without workers which nothing interrupted."""
     flags: list[Any] = [

@@ -84,6 +84,7 @@ except ValueError as error:
 """
 
 
+@pytest.mark.slow
 def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     """Even if the file of the compiled loop that calls the rule stays the same."""
     shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
@@ -101,6 +102,7 @@ def test_an_edited_rule_answers_in_the_next_process(tmp_path: Path) -> None:
     assert len(list(tmp_path.rglob("matrix.step_all*.nbc"))) == 2
 
 
+@pytest.mark.slow
 def test_only_an_edited_rule_is_compiled_again(tmp_path: Path) -> None:
     """A battle's loop and its walking are in two files. The mechanics of runs have nothing to do with either."""
     shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
@@ -122,6 +124,7 @@ def test_only_an_edited_rule_is_compiled_again(tmp_path: Path) -> None:
     assert lbf_again != lbf and battles != battles_again
 
 
+@pytest.mark.slow
 def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
     """The rule is in one file, the compiled loop that calls it in another."""
     loop = "from envs.families.kernels import compiled\nimport rule\nf = rule.f\n"
@@ -137,6 +140,7 @@ def test_a_rule_of_ones_own_answers_in_the_next_process(tmp_path: Path) -> None:
         assert said == f"{2 * factor + 1}\n"
 
 
+@pytest.mark.slow
 def test_damaged_cache_files_are_replaced(tmp_path: Path) -> None:
     """As a power cut leaves them. An editor's lock file, which is a link to nowhere, does not matter either."""
     shutil.copytree(PACKAGE, tmp_path / "envs", ignore=shutil.ignore_patterns("__pycache__"))
@@ -152,6 +156,7 @@ def test_damaged_cache_files_are_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+@pytest.mark.slow
 def test_a_full_disk_costs_only_the_time_to_compile(tmp_path: Path) -> None:
     limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
     limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
@@ -169,6 +174,7 @@ def test_where_numba_finds_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compiled(lambda x: x) == "compiled"
 
 
+@pytest.mark.slow
 def test_the_users_own_cache_folder_is_respected(tmp_path: Path) -> None:
     run(STEP, PACKAGE.parent, NUMBA_CACHE_DIR=str(tmp_path / "own"), XDG_CACHE_HOME=str(tmp_path / "cache"))
     assert list((tmp_path / "own").rglob("matrix.step_all*.nbc"))
@@ -176,6 +182,7 @@ def test_the_users_own_cache_folder_is_respected(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a folder that not even root can write")
+@pytest.mark.slow
 def test_a_home_that_cannot_be_written() -> None:
     assert run(STEP, PACKAGE.parent, XDG_CACHE_HOME="/proc/none", HOME="/proc/none") == "reward 7.0\n"
 
@@ -198,6 +205,7 @@ except ValueError as error:
 """
 
 
+@pytest.mark.slow
 def test_the_rules_are_the_same_without_the_compiler() -> None:
     plain = run(START_AND_STEPS, PACKAGE.parent, NUMBA_DISABLE_JIT="1")
     assert "sub-environment 3, agent 1: action 6 does not exist" in plain

@@ -145,6 +145,7 @@ def lively_actions(env: lbf.Env, e: int, rng: np.random.Generator) -> NDArray[np
 
 
 @pytest.mark.parametrize("name", AGAINST_PACKAGE)
+@pytest.mark.slow
 def test_every_step_equals_the_package(name: str) -> None:
     """State by state. It compares with np.array_equal: assert_array_equal would take a quarter of the time."""
     theirs, env = original(name), make(name)
@@ -250,6 +251,7 @@ def test_food_levels(n_agents: int, cooperative: str, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["", "-v3"])
+@pytest.mark.slow
 def test_places_of_agent_and_foods_together(version: str) -> None:
     """One agent, two foods on 5x5: each start has its exact probability, also those in which only one food fits."""
     rows, columns = 5, 5
@@ -327,6 +329,7 @@ def assert_same_distribution(ours: list[dict[str, int]], theirs: list[dict[str, 
 
 
 @pytest.mark.parametrize("name", ["lbf-8x8-2p-2f-c-v3", "lbf-15x15-3p-5f-v3", "lbf-5x5-2p-2f-v3", "lbf-5x9-4p-3f-v3"])
+@pytest.mark.slow
 def test_starts_like_the_package(name: str) -> None:
     env, theirs, number = make(name, 4_000, seed=3), original(name), 2_000
     env.reset()

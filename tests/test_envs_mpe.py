@@ -117,6 +117,7 @@ def test_recorded_episodes_follow(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", PACKAGE)
+@pytest.mark.slow
 def test_every_step_equals_the_package(name: str) -> None:
     theirs, env = PACKAGE[name].parallel_env(max_cycles=25), make(name)
     names, world = theirs.possible_agents, theirs.unwrapped.world
@@ -572,6 +573,7 @@ def near(frame: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
 
 
 @pytest.mark.parametrize("name", [*ALL[:4], "mpe2-tag-selfplay"])
+@pytest.mark.slow
 def test_frames_of_an_episode(name: str) -> None:
     env = make(name, 2, seed=1)
     env.reset()
@@ -621,6 +623,7 @@ for name in {names}:
 """
 
 
+@pytest.mark.slow
 def test_the_rules_are_the_same_without_the_compiler() -> None:
     def run(names: list[str], steps: int, **settings: str) -> str:
         code = PLAY.format(names=names, steps=steps)

@@ -30,6 +30,7 @@ DRAWN = (
 
 
 @pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.slow
 def test_frames_of_an_episode(name: str) -> None:
     env = envs.make(name, 2, seed=1)
     env.reset()
@@ -135,6 +136,7 @@ class Still:
         return np.zeros(observations.shape[:2], np.int64)
 
 
+@pytest.mark.slow
 def test_long_films_are_played_faster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Five episodes of 51 pictures, each end shown four times more: 275 pictures."""
     for limit, duration in ((1000, 200), (30, 110), (1, 20)):

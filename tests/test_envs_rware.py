@@ -255,6 +255,7 @@ def step_both(env: rware.Env, theirs: Warehouse, actions: Any) -> bool:
 
 
 @pytest.mark.parametrize("name", AGAINST_PACKAGE)
+@pytest.mark.slow
 def test_every_step_equals_the_package(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make(name)
     theirs = original(env)
@@ -297,6 +298,7 @@ def test_every_step_equals_the_package(name: str, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("loaded", [False, True])
+@pytest.mark.slow
 def test_crowds_equal_the_package(loaded: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty agents in 24 cells, most of which want to go forward: circles, and queues that meet."""
     env = make("rware-tiny-20p")
@@ -573,6 +575,7 @@ def starts_of_the_package(number: int) -> list[Start]:
 
 
 @pytest.mark.parametrize(("draw", "number"), [(starts, 30_000), (starts_of_the_package, 5_000)])
+@pytest.mark.slow
 def test_starts(draw: Callable[[int], Any], number: int) -> None:
     found = draw(number)
     for i in range(2):

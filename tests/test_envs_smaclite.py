@@ -243,6 +243,7 @@ def test_who_does_not_fight_earns_nothing(name: str, policy: str) -> None:
     assert abs(played["length"].mean() - recorded["length_mean"]) <= 0.1 * recorded["length_mean"]
 
 
+@pytest.mark.slow
 def test_kiting_pays_on_starcrafts_clock() -> None:
     """On SMAClite's clock it never wins; with nothing but the clock switched, it often does.
 
@@ -583,6 +584,7 @@ def test_starcrafts_maps() -> None:
     seed=st.integers(0, 2**32),
 )
 @settings(max_examples=300 if FULL else 30, deadline=None)
+@pytest.mark.slow
 def test_what_always_holds(name: str, suffix: str, policy: str, seed: int) -> None:
     env = make(name + suffix, 2, seed=seed)
     unit, n, rng = env.game.unit, env.n_agents, np.random.default_rng(seed)
@@ -749,6 +751,7 @@ for name in ("smaclite-2s_vs_1sc", "smaclite-2s3z-sc2", "smaclite-MMM2"):
 """
 
 
+@pytest.mark.slow
 def test_the_rules_are_the_same_without_the_compiler() -> None:
     def run(**environment: str) -> str:
         inherited = {**os.environ, "PYTHONPATH": str(Path(envs.__file__).parents[1])}

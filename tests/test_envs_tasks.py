@@ -326,6 +326,7 @@ def test_the_command_line() -> None:
         ),
     ],
 )
+@pytest.mark.slow
 def test_the_command_line_without_a_reader(shell: str, code: int, said: str) -> None:
     command = shell.format(f"PYTHONUNBUFFERED= '{sys.executable}' -m envs")
     ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True)

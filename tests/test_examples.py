@@ -52,6 +52,7 @@ def test_gymnasium_ppo_learns_nothing_from_steps_that_reset(capsys, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["ppo_gymnasium"])
+@pytest.mark.slow
 def test_wrong_input_ends_in_one_sentence(name):
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--task", "nothing"]
     done = subprocess.run(command, capture_output=True, text=True)

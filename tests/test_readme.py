@@ -34,6 +34,7 @@ def run(*command, folder):
 # ---------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_trained_team_in_a_few_lines(tmp_path):
     flags = ["--env", "lbf-15x15-3p-5f", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
     trained = run(str(ROOT / "algos/mappo.py"), *flags, "--seed", "1", folder=tmp_path)
@@ -48,6 +49,7 @@ def test_the_trained_team_in_a_few_lines(tmp_path):
 
 
 @pytest.mark.parametrize("index", range(3))
+@pytest.mark.slow
 def test_our_environments_in_your_code(index, tmp_path):
     done = run("-c", blocks(HOW_TO / "use-pettingzoo-or-gymnasium.md")[index], folder=tmp_path)
     assert done.returncode == 0, done.stderr
