@@ -75,8 +75,9 @@ class TestKeeping:
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
         parts = {"agents": agents.state_dict(), "critic": agents.state_dict(), "optimiser": {}}
         directory = module.runs.RunDirectory(ROOT / "algos" / "ia2c.py", args, module.paper_defaults("matrix-climbing"))
-        sizes = (env.n_agents, env.obs_size, env.n_actions, args.network)
-        directory.save([{"point": 0, "timestep": 0, "return_mean": 1.0}], sizes=sizes, parts=parts, rng=torch.zeros(1))
+        network = (env.n_agents, env.obs_size, env.n_actions, args.network)
+        rows = [{"point": 0, "timestep": 0, "return_mean": 1.0}]
+        directory.save(rows, network=network, parts=parts, rng=torch.zeros(1))
         return tmp_path / "run"
 
     def test_the_best_algorithm_of_a_task(self, run, tmp_path):

@@ -43,7 +43,7 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
     saved = read_checkpoint(directory, algorithm)
     config = {name: value for name, value in config.items() if name not in OF_A_MACHINE}
     config["flags"] = flags | {"run_dir": "", "resume": False}
-    kept: dict[str, Any] = {"config": config, **{name: saved[name] for name in ("rows", "seconds", "sizes")}}
+    kept: dict[str, Any] = {"config": config, **{name: saved[name] for name in ("rows", "seconds", "network")}}
     kept["parts"] = {"agents": saved["parts"]["agents"]}
     place.mkdir(parents=True, exist_ok=True)
     in_memory = io.BytesIO()
