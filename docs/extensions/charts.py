@@ -1,0 +1,156 @@
+"""Charts: specifications of Vega-Lite, made with Altair, which static/charts.js draws when they come into view.
+
+Altair makes and checks each kind of chart once; its data and colours are filled in where it is used.
+"""
+
+import copy
+import html
+import json
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any, Literal
+
+import altair as alt
+import pandas as pd
+import results_data
+from docutils import nodes
+
+POINTER: dict[str, Any] = {"opacity": 0, "size": 60}  # invisible points, so that the mouse finds a line
+SHORT_STEPS = (
+    "datum.value >= 1e6 ? format(datum.value / 1e6, '~g') + 'M' : "
+    "datum.value >= 1e3 ? format(datum.value / 1e3, '~g') + 'k' : datum.value"
+)
+
+
+def figure(specification: dict, caption: str, described: str) -> str:
+    """A chart in HTML. caption: HTML; described: what those hear who cannot see it."""
+    text = json.dumps(specification, separators=(",", ":")).replace("</", "<\\/")
+    return (
+        f'<figure class="chart"><figcaption>{caption}</figcaption>'
+        f'<div class="drawing" role="img" aria-label="{html.escape(described)}"></div>'
+        f'<script type="application/json">{text}</script></figure>'
+    )
+
+
+def grid(figures: Iterable[str]) -> nodes.raw:
+    """Charts side by side, as many as there is room for."""
+    return nodes.raw("", f'<div class="charts">{"".join(figures)}</div>', format="html")
+
+
+def rounded(value: float) -> float | None:
+    """Four digits are enough for a picture."""
+    return None if pd.isna(value) else float(f"{value:.4g}")
+
+
+def specification(chart: alt.TopLevelMixin) -> dict:
+    """What Altair makes of a chart, without what charts.js gives to every chart."""
+    return {key: value for key, value in chart.to_dict().items() if key not in ("$schema", "config")}
+
+
+def steps_axis() -> alt.X:
+    """Timesteps, as 5M."""
+    return alt.X("t:Q", title="timesteps", axis=alt.Axis(labelExpr=SHORT_STEPS, tickCount=5, grid=False))
+
+
+@lru_cache
+def curves_chart(height: int, legend: Literal["right", "bottom"] | None, bands: bool = True) -> dict:
+    """Learning curves with intervals, the paper's maximum returns as rules; data and colours are still missing.
+
+    Data: "curves" with a algorithm, t timestep, m mean, l and h the ends of the interval, n seeds; "paper" with a and
+    p, the paper's maximum return. With a legend, a click on it leaves one algorithm visible; with shift it adds one.
+    legend: where it stands. bands: whether there are intervals.
+    """
+    chosen = alt.selection_point(fields=["a"], bind="legend", name="chosen", toggle="event.shiftKey")
+    symbols: dict[str, Any] = {"symbolStrokeWidth": 3, "symbolType": "stroke", "symbolSize": 200, "symbolOpacity": 1}
+    shown = alt.Legend(title=None, orient=legend, columns=5 if legend == "bottom" else 1, **symbols) if legend else None
+    colours = alt.Color("a:N", legend=shown)
+
+    def opacity(value: float) -> dict:
+        return {"opacity": alt.when(chosen).then(alt.value(value)).otherwise(alt.value(value / 12))} if legend else {}
+
+    base = alt.Chart(alt.NamedData(name="curves")).encode(x=steps_axis(), color=colours)
+    scale = alt.Scale(zero=False)
+    band = base.mark_area(opacity=0.16).encode(y=alt.Y("l:Q", title="return", scale=scale), y2="h:Q", **opacity(0.16))
+    mean = alt.Y("m:Q", title="return", scale=scale)
+    line = base.mark_line(strokeWidth=1.8).encode(y=mean, **opacity(1))
+    points = base.mark_point(**POINTER).encode(
+        y=mean,
+        tooltip=[
+            alt.Tooltip("a:N", title="algorithm"),
+            alt.Tooltip("t:Q", title="timesteps", format=","),
+            alt.Tooltip("m:Q", title="return", format=".3~f"),
+            *(
+                [alt.Tooltip("l:Q", title="from", format=".3~f"), alt.Tooltip("h:Q", title="to", format=".3~f")]
+                if bands
+                else []
+            ),
+            alt.Tooltip("n:Q", title="seeds"),
+        ],
+    )
+    paper = (
+        alt.Chart(alt.NamedData(name="paper"))
+        .mark_rule(strokeDash=[4, 3], strokeWidth=1.2)
+        .encode(
+            y=alt.Y("p:Q", title="return"),
+            color=colours,
+            tooltip=[alt.Tooltip("a:N", title="the paper's"), alt.Tooltip("p:Q", title="maximum", format=".3~f")],
+            **opacity(0.8),
+        )
+    )
+    layers = alt.layer(*([band] if bands else []), line, paper, points)
+    if legend:
+        layers = layers.add_params(chosen)
+    return specification(layers.properties(width="container", height=height))
+
+
+def learning_curves(task: str, sharing: bool, algorithms: Iterable[str], legend: bool = False) -> dict | None:
+    """A task's learning curves with their intervals and the paper's maximum returns; None where none is measured."""
+    table = results_data.curves()
+    table = table[(table["task"] == task) & (table["sharing"] == sharing)]
+    measured = [name for name in algorithms if name in set(table["algorithm"])]
+    table = table[table["algorithm"].isin(measured)]
+    if table.empty:
+        return None
+    made = copy.deepcopy(curves_chart(150, "bottom" if legend else None, bool(table["interval"].notna().any())))
+    for layer in made["layer"]:
+        layer["encoding"]["color"]["scale"] = {
+            "domain": [name.upper() for name in measured],
+            "range": [results_data.colour(name) for name in measured],
+        }
+    rows = []
+    for row in table.itertuples():
+        values = {"a": row.algorithm.upper(), "t": round(row.timestep), "m": rounded(row.mean), "n": row.seeds}
+        if not pd.isna(row.interval):
+            values |= {"l": rounded(row.mean - row.interval), "h": rounded(row.mean + row.interval)}
+        rows.append(values)
+    maxima = results_data.paper_values("max_return")
+    papers = [
+        {"a": name.upper(), "p": rounded(maxima[task, name, sharing][0])}
+        for name in measured
+        if (task, name, sharing) in maxima
+    ]
+    return made | {"datasets": {"curves": rows, "paper": papers}}
+
+
+@lru_cache
+def scalar_chart() -> dict:
+    """One of TensorBoard's curves, still without data."""
+    chart = (
+        alt.Chart(alt.NamedData(name="scalar"))
+        .mark_line(strokeWidth=1.6, color=results_data.colour("ippo"), point=POINTER)
+        .encode(
+            x=steps_axis(),
+            y=alt.Y("v:Q", title=None, scale=alt.Scale(zero=False), axis=alt.Axis(tickCount=4, format=".3~g")),
+            tooltip=[
+                alt.Tooltip("t:Q", title="timesteps", format=","),
+                alt.Tooltip("v:Q", title="value", format=".4~g"),
+            ],
+        )
+    )
+    return specification(chart.properties(width="container", height=90))
+
+
+def scalar(table: pd.DataFrame) -> dict:
+    """One of TensorBoard's curves: columns timestep and value."""
+    values = [{"t": int(row.timestep), "v": rounded(row.value)} for row in table.itertuples()]
+    return copy.deepcopy(scalar_chart()) | {"datasets": {"scalar": values}}

@@ -1,0 +1,196 @@
+"""Pages of the environments: rules, observations value by value, tasks, speed, films."""
+
+import csv
+import html
+import importlib
+
+import observations
+import pandas as pd
+import plain_text
+import results_data
+import script
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective, SphinxRole
+
+import envs
+from envs.tasks import PAPER_TASKS
+
+FILMS = script.ROOT / "docs" / "films"
+MODULE_OF = {  # an environment of each family, whose module's docstring has the rules
+    "matrix": "matrix-climbing",
+    "mpe": "mpe-spread",
+    "lbf": "lbf-8x8-2p-2f-c",
+    "rware": "rware-tiny-4p",
+    "smaclite": "smaclite-3s5z-sc2",
+    "foreign": "pettingzoo:any",
+}
+
+
+def tasks_of(family: str) -> list[str]:
+    """The paper's tasks of a family."""
+    return [task for task in PAPER_TASKS if task.startswith(family)]
+
+
+def rules_of(family: str) -> str:
+    """The docstring with the rules: of the module that plays the family, or of the package that it belongs to."""
+    module = importlib.import_module(module_name(MODULE_OF[family]))
+    package = importlib.import_module(module.__name__.rpartition(".")[0])
+    own = module.__doc__ or ""
+    return package.__doc__ or own if package.__name__.endswith(family) else own
+
+
+def module_name(task: str) -> str:
+    """The full name of the module that plays a task."""
+    name = envs.task(task).module
+    return name if name.startswith("envs.") else f"envs.{name}"
+
+
+class Rules(SphinxDirective):
+    """The docstring of a family, set as a page. Argument: the family."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        return plain_text.to_nodes(plain_text.parse(rules_of(self.arguments[0])))
+
+
+class ObservationBar(SphinxDirective):
+    """Which value of an observation is what. Arguments: tasks."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        found: list[nodes.Node] = []
+        for task in self.arguments[0].split():
+            env = envs.make(task)
+            for title, values in observations.kinds(task).items():
+                head = f"<code>{task}</code>" + (f", {title}" if title else "") + f": {env.obs_size} values"
+                found.append(
+                    nodes.raw(
+                        "",
+                        f'<figure class="observation"><figcaption>{head}</figcaption>{bar(values)}</figure>',
+                        format="html",
+                    )
+                )
+        return found
+
+
+def bar(values: list[observations.Value]) -> str:
+    """The bar in HTML: a box for each thing that is observed, in it a field for each value."""
+    boxes: list[tuple[str, str, list[str]]] = []
+    for index, value in enumerate(values):
+        if not boxes or boxes[-1][0] != value.thing:
+            boxes.append((value.thing, value.kind, []))
+        title = html.escape(f"{index}: {value.thing}, {value.name}")
+        boxes[-1][2].append(f'<span title="{title}"><b>{index}</b>{html.escape(value.name)}</span>')
+    parts = [
+        f'<div class="box {kind}"><div class="of">{html.escape(thing)}</div>'
+        f'<div class="values">{"".join(fields)}</div></div>'
+        for thing, kind, fields in boxes
+    ]
+    return f'<div class="bar">{"".join(parts)}</div>'
+
+
+class TasksTable(SphinxDirective):
+    """The paper's tasks of a family with sizes and budgets. Argument: the family."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        rows = [
+            "| task | agents | actions | observation | state | longest episode | on-policy steps | off-policy steps |",
+            "|---" * 8 + "|",
+        ]
+        for name in tasks_of(self.arguments[0]):
+            task, env = envs.task(name), envs.make(name)
+            sizes = (env.n_agents, env.n_actions, env.obs_size, env.state_size, env.episode_limit)
+            cells = [f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)]
+            rows.append(f"| `{name}` | " + " | ".join(cells) + " |")
+        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+
+
+class SpeedTable(SphinxDirective):
+    """Steps per second on a family's tasks: the paper's, the original package's, ours. Argument: the family."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        table = results_data.speeds()
+        table = table[
+            table["task"].map(
+                lambda task: task.startswith((self.arguments[0], "smac" if self.arguments[0] == "smaclite" else "-"))
+            )
+        ]
+        if table.empty:
+            text = "Nothing has been timed yet."
+            return [nodes.paragraph(text, text)]
+        wide = table.pivot_table(index="task", columns="whose", values="steps_per_second")
+        columns = list(dict.fromkeys(table["whose"]))
+        rows = ["| steps per second | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+        for task in results_data.tables.in_order(pd.Series(wide.index)):
+            values = ["" if pd.isna(wide.loc[task, column]) else f"{wide.loc[task, column]:,.0f}" for column in columns]
+            rows.append(f"| `{task}` | " + " | ".join(values) + " |")
+        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+
+
+def films() -> list[dict[str, str]]:
+    """The films that there are: film, task, algorithm, timesteps, return_mean."""
+    file = FILMS / "films.csv"
+    if not file.exists():
+        return []
+    with open(file, newline="", encoding="utf-8") as rows:
+        return list(csv.DictReader(rows))
+
+
+class Film(SphinxDirective):
+    """The film of a task, or with a colon before its name, of an algorithm. Argument: the name."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        name = self.arguments[0]
+        column = "algorithm" if name.startswith(":") else "task"
+        own = [film for film in films() if film[column] == name.removeprefix(":")]
+        if not own:
+            text = f"There is no film of {name.removeprefix(':')} yet."
+            return [nodes.paragraph(text, text)]
+        root = "../" * self.env.docname.count("/")
+        film = own[-1]
+        caption = (
+            f"{film['algorithm'].upper()} on <code>{film['task']}</code> after {int(film['timesteps']):,} timesteps; "
+            f"mean return of its last evaluation {float(film['return_mean']):.2f}"
+        )
+        described = f"Film of a team that {film['algorithm'].upper()} has trained on {film['task']}"
+        text = (
+            f'<figure class="film"><img src="{root}films/{film["film"]}" alt="{described}" loading="lazy" '
+            f'width="{film["width"]}" height="{film["height"]}"><figcaption>{caption}</figcaption></figure>'
+        )
+        return [nodes.raw("", text, format="html")]
+
+
+class Source(SphinxRole):
+    """{source}`envs/vector.py`: a link to the module on the page of reference, else the name alone."""
+
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        name = self.text
+        if not (script.ROOT / name).exists():
+            return [], [self.inliner.reporter.error(f"there is no file {name}", line=self.lineno)]
+        code = nodes.literal("", name)
+        if not name.startswith("envs/") or not name.endswith(".py"):
+            return [code], []
+        module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        uri = self.env.app.builder.get_relative_uri(self.env.docname, "reference")
+        return [nodes.reference("", "", code, refuri=f"{uri}#module-{module}", internal=True)], []
+
+
+def setup(app: Sphinx) -> dict:
+    """Called by Sphinx."""
+    app.add_role("source", Source())
+    app.add_directive("rules", Rules)
+    app.add_directive("observation-bar", ObservationBar)
+    app.add_directive("tasks-table", TasksTable)
+    app.add_directive("speed-table", SpeedTable)
+    app.add_directive("film", Film)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

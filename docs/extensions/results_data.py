@@ -1,0 +1,128 @@
+"""All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
+
+import json
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "benchmark"))
+
+from report import Report  # noqa: E402
+from reporting import claims, results, tables  # noqa: E402
+from reporting.plots import COLOURS  # noqa: E402
+
+ALGORITHMS = results.ALGORITHMS
+FAMILIES = results.PAPER_FAMILIES
+FIGURES = ROOT / "benchmark" / "figures"
+RESULTS = results.RESULTS
+OTHER_COLOUR = "#666666"
+TITLES = tables.TITLES
+SHARING = {"shared": True, "independent": False}
+
+
+@lru_cache
+def report() -> Report:
+    """Everything that report.py writes is made of this."""
+    return Report(RESULTS)
+
+
+def paper_tasks() -> list[str]:
+    """The paper's tasks, as they are called here, in the order of its tables."""
+    from envs.tasks import PAPER_TASKS
+
+    return tables.in_order(pd.Series(PAPER_TASKS))
+
+
+def family(task: str) -> str:
+    """The paper's family of a task."""
+    return results.family(task)
+
+
+def colour(algorithm: str) -> str:
+    """Of the algorithm's curves, everywhere."""
+    return COLOURS.get(algorithm, OTHER_COLOUR)
+
+
+@lru_cache
+def curves() -> pd.DataFrame:
+    """The learning curves that tables show: task, algorithm, sharing, point, timestep, mean, interval, seeds.
+
+    interval: 2 s / sqrt(n) over n seeds; NaN for a single one.
+    """
+    shown = report().shown
+    groups = shown.groupby(["task", "algorithm", "sharing", "point"])
+    table = groups.agg(
+        timestep=("timestep", "mean"),
+        mean=("return_mean", "mean"),
+        deviation=("return_mean", "std"),
+        seeds=("return_mean", "count"),
+    )
+    return table.assign(interval=results.interval(table["deviation"], table["seeds"])).reset_index()
+
+
+def cells(metric: str) -> pd.DataFrame:
+    """Our cells of one of the paper's tables, with the paper's beside them; see `tables.compare`."""
+    both = report().both
+    return both[both["metric"] == metric]
+
+
+@lru_cache
+def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]]:
+    """The paper's mean and interval by our task, algorithm and sharing."""
+    table = report().paper
+    chosen = table[table["metric"] == metric]
+    known = {(row.task, row.algorithm, row.sharing): (row.mean, row.interval) for row in chosen.itertuples()}
+    ours = {results.paper_task(task): task for task in paper_tasks()}
+    return {(ours[task], *key): value for (task, *key), value in known.items() if task in ours}
+
+
+def marks(algorithm: str, task: str, sharing: bool, metric: str) -> str:
+    """The signs of the tables' legend that belong to a cell of ours."""
+    chosen = cells(metric)
+    chosen = chosen[(chosen["algorithm"] == algorithm) & (chosen["task"] == task) & (chosen["sharing"] == sharing)]
+    return "".join(tables.signs(cell) for cell in chosen.itertuples())
+
+
+@lru_cache
+def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
+    """The table behind each cell: its path without the suffix, and the flags that differ from the paper's."""
+    shown = report().shown
+    found = {}
+    for task, algorithm, sharing, setting in (
+        shown[["task", "algorithm", "sharing", "setting"]].drop_duplicates().itertuples(index=False, name=None)
+    ):
+        changed = json.loads(setting)
+        found[task, algorithm, sharing] = results.table_path(RESULTS, algorithm, task, sharing, changed), changed
+    return found
+
+
+def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int) -> str:
+    """The command that makes a cell."""
+    words = [f"python benchmark/run.py --algorithms {algorithm} --tasks {task} --seeds {seeds}"]
+    if not sharing:
+        words.append("--sharing independent")
+    if changed:
+        words.append("--")
+        words += [f"--{name.replace('_', '-')} {value}" for name, value in sorted(changed.items())]
+    return " ".join(words)
+
+
+def number(mean: float, interval: float) -> str:
+    """A mean and its interval as text."""
+    return tables.number(mean, interval)
+
+
+def verdicts() -> list[tuple[str, str, str, str, str]]:
+    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures."""
+    judged = zip(claims.CLAIMS, claims.judge(report().paper), claims.judge(report().ours))
+    return [
+        (place, sentence, paper.verdict, ours.verdict, ours.figures) for (place, sentence, _), paper, ours in judged
+    ]
+
+
+def speeds() -> pd.DataFrame:
+    """Steps per second: task, family, whose, steps_per_second."""
+    return report().speeds

@@ -1,0 +1,350 @@
+"""Results on pages: curves, tables, claims, the map of seeds, and the explorer with its data and scripts."""
+
+import html
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import charts
+import pandas as pd
+import results_data
+import script
+import vl_convert
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+WORDS = {True: "with parameter sharing", False: "without parameter sharing"}
+FILMS = script.ROOT / "docs" / "films"
+
+
+def raw(text: str) -> nodes.raw:
+    """HTML as it stands."""
+    return nodes.raw("", text, format="html")
+
+
+def algorithms() -> list[str]:
+    """The columns of all tables."""
+    return [*results_data.ALGORITHMS]
+
+
+def sharing(argument: str) -> bool:
+    """An option's value: shared or independent."""
+    return results_data.SHARING[directives.choice(argument, tuple(results_data.SHARING))]
+
+
+def text_of_cell(cell: Any, anchor: str, root: str) -> str:
+    """Our value, as a link to its CSV and one to its command, with the paper's below."""
+    signs = results_data.tables.signs(cell).strip()
+    number = results_data.number(cell.value, cell.interval)
+    path, _ = results_data.tables_of_results()[cell.task, cell.algorithm, cell.sharing]
+    best = ' class="best"' if cell.mark == "best" else ""
+    ours = f'<a{best} href="{root}{csv_name(path)}" title="the evaluations of all seeds, as CSV">{number}</a>{signs}'
+    command = f'<a class="command" href="{anchor}" title="the command that makes it">$</a>'
+    theirs = ""
+    if not pd.isna(cell.paper_mean):
+        theirs = f'<span class="paper">{results_data.number(cell.paper_mean, cell.paper_interval)}</span>'
+    return f"{ours} {command}{theirs}"
+
+
+def csv_name(path: Path) -> str:
+    """Where a table of results lies in the site."""
+    return f"results/{path.parent.name}/{path.name}.csv"
+
+
+def cell_name(task: str, algorithm: str, shared: bool) -> str:
+    """The id of a cell's command on the page of data."""
+    return f"{task}-{algorithm}-{'shared' if shared else 'independent'}"
+
+
+class Directive(SphinxDirective):
+    """One that links to other files of the site."""
+
+    def root(self) -> str:
+        """The way from this page to the site's first folder."""
+        return "../" * self.env.docname.count("/")
+
+    def table(self, metric: str, shared: bool) -> str:
+        """One of the paper's tables in HTML, sortable by each column; nothing where we have no result for it."""
+        cells = results_data.cells(metric)
+        cells = cells[cells["sharing"] == shared].rename(columns={"mean": "value"})
+        known = {(cell.task, cell.algorithm): cell for cell in cells.itertuples()}
+        rows = []
+        for task in results_data.tables.in_order(cells["task"]):
+            columns = []
+            for name in algorithms():
+                cell = known.get((task, name))
+                if cell is None:
+                    columns.append("<td></td>")
+                    continue
+                anchor = f"{self.root()}results.html#{cell_name(task, name, shared)}"
+                columns.append(f'<td data-value="{cell.value:.6g}">{text_of_cell(cell, anchor, self.root())}</td>')
+            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
+        if not rows:
+            return ""
+        head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
+        return (
+            f'<div class="wide"><table class="results sortable"><thead><tr><th scope="col">task</th>{head}</tr></thead>'
+            f"<tbody>{''.join(rows)}</tbody></table></div>"
+        )
+
+
+class Curves(Directive):
+    """Learning curves of tasks. Arguments: their names. Options: sharing, algorithms."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+    option_spec = {"sharing": sharing, "algorithms": directives.unchanged}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        shared = self.options.get("sharing", True)
+        names = self.options.get("algorithms", " ".join(algorithms())).split()
+        found: list[str] = []
+        missing: list[str] = []
+        for task in self.arguments[0].split():
+            chart = charts.learning_curves(task, shared, names, legend=True)
+            if chart is None:
+                missing.append(task)
+                continue
+            described = f"Learning curves on {task}, {WORDS[shared]}"
+            found.append(charts.figure(chart, f"<code>{html.escape(task)}</code>", described))
+        text = f"Not measured yet: {', '.join(missing)}." if missing else ""
+        return [charts.grid(found), *([nodes.paragraph(text, text)] if text else [])]
+
+
+class ResultsTable(Directive):
+    """One of the paper's tables. Arguments: a metric of report.py, and shared or independent."""
+
+    required_arguments = 2
+
+    def run(self) -> list[nodes.Node]:
+        metric = directives.choice(self.arguments[0], tuple(results_data.TITLES))
+        shared = sharing(self.arguments[1])
+        title = f"{results_data.TITLES[metric]}, {WORDS[shared]}"
+        if not (table := self.table(metric, shared)):
+            text = f"{title}: nothing has been measured yet."
+            return [nodes.paragraph(text, text)]
+        return [nodes.rubric("", title), raw(table)]
+
+
+class Claims(Directive):
+    """The paper's claims, judged by its own tables and by our results."""
+
+    def run(self) -> list[nodes.Node]:
+        rows: list[str] = []
+        counts: dict[str, int] = {}
+        for place, sentence, paper, ours, figures in results_data.verdicts():
+            counts[ours] = counts.get(ours, 0) + 1
+            kinds = [verdict.replace(" ", "-") for verdict in (paper, ours)]
+            rows.append(
+                f'<tr><td>{place}</td><td>{html.escape(sentence)}<div class="figures">{html.escape(figures)}</div></td>'
+                f'<td class="verdict {kinds[0]}">{paper}</td><td class="verdict {kinds[1]}">{ours}</td></tr>'
+            )
+        summary = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
+        text = f"{len(rows)} claims. By our results {summary}."
+        head = "".join(
+            f'<th scope="col">{title}</th>' for title in ("section", "claim", "by the paper's tables", "by our results")
+        )
+        table = (
+            f'<div class="wide"><table class="claims sortable"><thead><tr>{head}</tr></thead>'
+            f"<tbody>{''.join(rows)}</tbody></table></div>"
+        )
+        return [nodes.paragraph(text, text), raw(table)]
+
+
+class SeedsMap(Directive):
+    """Which of the paper's cells are measured, with how many seeds: tasks, algorithms, with and without sharing."""
+
+    def run(self) -> list[nodes.Node]:
+        curves = results_data.curves()
+        last = curves.groupby(["task", "algorithm", "sharing"])["seeds"].max()
+        rows = []
+        for task in results_data.paper_tasks():
+            columns = []
+            for name in algorithms():
+                halves = ""
+                for shared, word in ((True, "with sharing"), (False, "without")):
+                    seeds = int(last.get((task, name, shared), 0))
+                    other = seeds and results_data.tables_of_results()[task, name, shared][1]
+                    mark = "†" if other else ""
+                    title = f"{name.upper()}, {task}, {word}: {seeds} seeds{', another budget' if other else ''}"
+                    content = f"{seeds}{mark}" if seeds else "·"
+                    if seeds:
+                        link = f"{self.root()}results.html#{cell_name(task, name, shared)}"
+                        content = f'<a href="{link}">{content}</a>'
+                    attributes = f'class="seeds" data-seeds="{min(seeds, 5)}" title="{html.escape(title)}"'
+                    halves += f"<span {attributes}>{content}</span>"
+                columns.append(f"<td>{halves}</td>")
+            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
+        head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
+        measured = int((last.reindex([key for key in last.index if key[0] in results_data.paper_tasks()]) > 0).sum())
+        text = (
+            f"{measured} of {len(rows) * len(algorithms()) * 2} cells have results. In each the left half is with, the "
+            "right half without parameter sharing; the number is that of the seeds (the paper has five), and † means "
+            "another budget than the paper's."
+        )
+        table = (
+            f'<div class="wide"><table class="seeds-map"><thead><tr><th scope="col">task</th>{head}</tr></thead>'
+            f"<tbody>{''.join(rows)}</tbody></table></div>"
+        )
+        return [nodes.paragraph(text, text), raw(table)]
+
+
+class DataList(Directive):
+    """Every measured cell with its CSV and the command that makes it."""
+
+    def run(self) -> list[nodes.Node]:
+        found: list[nodes.Node] = []
+        seeds = results_data.curves().groupby(["task", "algorithm", "sharing"])["seeds"].max()
+        by_task: dict[str, list] = {}
+        for (task, name, shared), (path, changed) in results_data.tables_of_results().items():
+            by_task.setdefault(task, []).append((name, shared, path, changed, int(seeds[task, name, shared])))
+        for task in results_data.tables.in_order(pd.Series([*by_task])):
+            rows = []
+            for name, shared, path, changed, number in sorted(
+                by_task[task],
+                key=lambda row: (not row[1], algorithms().index(row[0]) if row[0] in algorithms() else 99),
+            ):
+                command = results_data.campaign(name, task, shared, changed, number)
+                kind = "shared" if shared else "independent"
+                rows.append(
+                    f'<tr id="{cell_name(task, name, shared)}"><td>{name.upper()}, {kind}</td>'
+                    f'<td><a href="{csv_name(path)}">CSV</a>, <a href="{csv_name(path)[:-3]}json">JSON</a></td>'
+                    f"<td><code>{html.escape(command)}</code></td></tr>"
+                )
+            section = nodes.section("", nodes.title("", "", nodes.literal("", task)), ids=[f"data-{task}"])
+            section += raw(f'<div class="wide"><table class="data"><tbody>{"".join(rows)}</tbody></table></div>')
+            found.append(section)
+        return found
+
+
+class ReportText(Directive):
+    """A sentence or a table that report.py writes: agreement, disagreements or cpu-hours, by the directive's name."""
+
+    def run(self) -> list[nodes.Node]:
+        report = results_data.report()
+        text = {
+            "agreement": report.agreement,
+            "disagreements": report.differences,
+            "cpu-hours": lambda: f"{report.cpu_table()}\n\n{report.cpu_sentence()}",
+            "speeds": report.speed_table,
+            "legend": lambda: results_data.tables.LEGEND,
+            "across-tasks": lambda: across(report),
+        }[self.name]()
+        found = self.parse_text_to_nodes(text)
+        return [
+            nodes.container("", node, classes=["wide"]) if isinstance(node, nodes.table) else node for node in found
+        ]
+
+
+def across(report: results_data.Report) -> str:
+    """Interquartile means and probabilities of improvement, in Markdown."""
+    parts = []
+    for shared, words in WORDS.items():
+        for title, table in (
+            ("Interquartile means", report.interquartile_means(shared)),
+            ("Probabilities of improvement", report.improvements(shared)),
+        ):
+            if table:
+                parts += [f"**{title}, {words}**", table]
+    return "\n\n".join(parts)
+
+
+class FigureOfReport(Directive):
+    """A figure of benchmark/figures. Argument: its name. Content: its caption."""
+
+    required_arguments = 1
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        name = self.arguments[0]
+        file = results_data.FIGURES / f"{name}.png"
+        if not file.exists():
+            text = f"The figure {name} cannot be drawn yet: its results are missing."
+            return [nodes.paragraph(text, text)]
+        uri = f"/../benchmark/figures/{name}.png"
+        image = nodes.image("", uri=uri, alt=name, classes=["report"])
+        figure = nodes.figure("", image)
+        if caption := " ".join(self.content).strip():
+            figure += nodes.caption("", "", *self.parse_inline(caption)[0])
+        return [figure]
+
+
+class Explorer(Directive):
+    """Where static/explorer.js draws."""
+
+    def run(self) -> list[nodes.Node]:
+        return [raw('<div id="explorer"><noscript>The explorer needs JavaScript.</noscript></div>')]
+
+
+def explorer_data() -> dict:
+    """What static/explorer.js shows: for each cell the curve and the paper's maximum, and the chart's specification."""
+    curves = results_data.curves()
+    maxima = results_data.paper_values("max_return")
+    cells = []
+    for (task, name, shared), table in curves.groupby(["task", "algorithm", "sharing"]):
+        paper = maxima.get((task, name, shared))
+        cells.append(
+            {
+                "task": task,
+                "algorithm": name,
+                "sharing": "shared" if shared else "independent",
+                "seeds": int(table["seeds"].max()),
+                "t": [round(value) for value in table["timestep"]],
+                "m": [charts.rounded(value) for value in table["mean"]],
+                "i": [charts.rounded(value) for value in table["interval"]],
+                "paper": None if paper is None else charts.rounded(paper[0]),
+            }
+        )
+    tasks = results_data.tables.in_order(curves["task"])
+    return {
+        "tasks": [
+            {"name": task, "family": results_data.FAMILIES.get(results_data.family(task), "Other tasks")}
+            for task in tasks
+        ],
+        "algorithms": [{"name": name, "colour": results_data.colour(name)} for name in algorithms()],
+        "cells": cells,
+        "specification": charts.curves_chart(380, "right"),
+    }
+
+
+def write_files(app: Sphinx, error: Exception | None) -> None:
+    """Puts Vega's scripts, the explorer's data, results and films into the site."""
+    if error is not None or app.builder.format != "html":
+        return
+    static = Path(app.outdir, "_static")
+    vega = vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;")
+    (static / "vega.js").write_text(f"(() => {{\n{vega}\n}})();\n", encoding="utf-8")
+    data = json.dumps(explorer_data(), separators=(",", ":"))
+    (static / "explorer-data.js").write_text(f"window.explorerData={data};\n", encoding="utf-8")
+    for path, _ in results_data.tables_of_results().values():
+        folder = Path(app.outdir, "results", path.parent.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        for suffix in ("csv", "json"):
+            shutil.copy(f"{path}.{suffix}", folder)
+    shutil.copytree(FILMS, Path(app.outdir, "films"), dirs_exist_ok=True)
+
+
+def add_explorer(app: Sphinx, pagename: str, templatename: str, context: dict, doctree: nodes.document | None) -> None:
+    """Gives the explorer's page its script and data."""
+    if pagename == "explorer":
+        app.add_js_file("explorer-data.js", priority=900, defer="defer")
+        app.add_js_file("explorer.js", priority=901, defer="defer")
+
+
+def setup(app: Sphinx) -> dict:
+    """Called by Sphinx."""
+    app.add_directive("curves", Curves)
+    app.add_directive("results-table", ResultsTable)
+    app.add_directive("claims", Claims)
+    app.add_directive("seeds-map", SeedsMap)
+    app.add_directive("data-list", DataList)
+    app.add_directive("figure-of-report", FigureOfReport)
+    app.add_directive("explorer", Explorer)
+    for name in ("agreement", "disagreements", "cpu-hours", "speeds", "legend", "across-tasks"):
+        app.add_directive(name, ReportText)
+    app.connect("html-page-context", add_explorer)
+    app.connect("build-finished", write_files)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

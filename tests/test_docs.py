@@ -1,0 +1,424 @@
+"""The site: links from pages into scripts, observations value by value, and the built pages in a real browser."""
+
+import functools
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+import urllib.parse
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+from filelock import FileLock
+from scripts import ROOT
+from selenium import webdriver
+
+import envs
+from envs.tasks import PAPER_TASKS
+
+DOCS = ROOT / "docs"
+sys.path.insert(0, str(DOCS / "extensions"))
+
+import algorithm_pages  # noqa: E402
+import observations  # noqa: E402
+import plain_text  # noqa: E402
+import script  # noqa: E402
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+LARGEST_PAGE, LARGEST_FILM = 1_500_000, 500_000  # bytes
+
+
+# --- pages and scripts ---
+@pytest.mark.parametrize("name", script.ALGORITHMS)
+def test_every_shown_line_of_a_script_stands_on_its_page_once(name):
+    known = script.read(name)
+    shown = [number for piece in known.pieces for number in piece.lines]
+    assert shown == sorted(set(shown))
+    first, last = known.sections["networks"][0], known.sections["train"][1]
+    hidden = set(range(first, last + 1)) - set(shown)
+    comments_and_docstrings = [known.lines[i - 1] for i in hidden if known.lines[i - 1].strip()]
+    docstrings = "\n".join(piece.docstring for piece in known.pieces)
+    for line in comments_and_docstrings:
+        text = line.strip().strip('"').strip()
+        assert text in docstrings or re.fullmatch(r"# --- \w+ ---", line), line
+
+
+@pytest.mark.parametrize("name", script.ALGORITHMS)
+def test_remarks_are_about_what_the_script_shows(name):
+    remarks = algorithm_pages.read_remarks(name)
+    assert remarks.remarks and remarks.unknown(script.read(name)) == []
+    assert {"Formulas", "Details that matter", "What to look at"} <= remarks.sections.keys()
+
+
+def test_common_remarks_are_about_what_some_scripts_share():
+    names = algorithm_pages.read_remarks(algorithm_pages.COMMON).remarks
+    for name in names:
+        assert sum(name in script.read(each).names for each in script.ALGORITHMS) > 1, name
+
+
+def lines_linked():
+    """Every {line} of every page: the page, its text."""
+    for file in sorted(DOCS.glob("**/*.md")):
+        for text in re.findall(r"\{line\}`([^`]+)`", file.read_text(encoding="utf-8")):
+            yield file.relative_to(DOCS).with_suffix("").as_posix(), text
+
+
+def test_links_to_lines_mean_exactly_one_line():
+    linked = list(lines_linked())
+    assert len(linked) > 50
+    for page, text in linked:
+        own = page.removeprefix("algorithms/")
+        owners = [own] if own in script.ALGORITHMS else [None]
+        if own == algorithm_pages.COMMON:
+            owners = [each for each in script.ALGORITHMS if text.partition(":")[0] in script.read(each).names]
+        for owner in owners:
+            algorithm_pages.target(text, owner)  # raises ValueError where the line is gone, or no longer the only one
+
+
+def test_a_link_to_a_line_that_is_gone_is_an_error():
+    known = script.Script("toy", "# --- train ---\ndef train(a):\n    b = a\n    return a\n\n\n# --- end ---\n")
+    assert known.find("train: b = a") == 3
+    for wrong in ("train: c = a", "train: a", "trains: b = a", "train"):
+        with pytest.raises(ValueError):
+            known.find(wrong)
+
+
+@pytest.mark.parametrize("name", script.ALGORITHMS)
+def test_as_many_formulas_in_latex_as_in_the_docstring(name):
+    blocks = plain_text.parse(script.read(name).docstring)
+    plain = "\n".join(block.text for block in blocks if block.kind == "verbatim")
+    formulas = re.findall(r"\$\$(.+?)\$\$", algorithm_pages.read_remarks(name).sections["Formulas"], re.DOTALL)
+    assert len(formulas) >= len(re.findall(r"^\S.{0,12} = ", plain, re.MULTILINE)) > 0
+
+
+def test_films_are_small_enough():
+    films = list((DOCS / "films").glob("*.webp"))
+    assert films and all(film.stat().st_size < LARGEST_FILM for film in films)
+
+
+def test_a_docstring_becomes_paragraphs_and_tables():
+    text = "It is so.\n\nn: the number.\nReturns x [a, b]. See `f` and --flag.\n"
+    text += "\n    a  1\n    b  2\n\nmap  a long\n        name\n"
+    blocks = plain_text.parse(text)
+    assert [block.kind for block in blocks] == ["paragraph"] * 3 + ["verbatim", "paragraph"]
+    assert (blocks[1].lead, blocks[1].text) == ("n", "the number.")
+    assert (blocks[4].lead, blocks[4].text) == ("map", "a long name")
+    assert "``--flag``" in "\n".join(plain_text.to_restructured_text(blocks))
+
+
+# --- observations, value by value ---
+def seen(name: str, agent: int = 0, kind: str | None = None, steps: int = 30) -> Iterator[tuple[Any, dict]]:
+    """Observations of a task in random play, each as (env, {(thing, value's name): value} of one agent)."""
+    env = envs.make(name, num_envs=1, seed=3)
+    values = observations.kinds(name)
+    labels = [(value.thing, value.name) for value in values[kind or next(iter(values))]]
+    assert len(labels) == env.obs_size
+    observed, info = env.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(steps):
+        yield env, dict(zip(labels, observed[0, agent].tolist()))
+        actions = [[rng.choice(np.flatnonzero(mask)) for mask in masks] for masks in info["action_mask"]]
+        observed, _, terminated, truncated, info = env.step(actions)
+        if terminated[0] or truncated[0]:
+            return
+
+
+@pytest.mark.parametrize("name", PAPER_TASKS)
+def test_every_value_has_a_label(name):
+    for values in observations.kinds(name).values():
+        assert len(values) == envs.make(name).obs_size
+
+
+@pytest.mark.parametrize("name", ["lbf-8x8-2p-2f-c", "lbf-15x15-4p-5f"])
+def test_labels_of_foraging(name):
+    for env, value in seen(name):
+        for own, thing in ((0, "the agent itself"), *((k, f"other agent {k}") for k in range(1, env.n_agents))):
+            place = [value[thing, part] for part in ("row", "column", "level")]
+            assert place == env.game.agent[0, own].tolist()
+        foods = [food.tolist() for food in env.game.food[0] if food[2] > 0]
+        for k, food in enumerate(foods, 1):
+            assert [value[f"food {k}", part] for part in ("row", "column", "level")] == food
+
+
+CELLS = [
+    ("cell 1 up 1 left", -1, -1),
+    ("cell 1 up", -1, 0),
+    ("cell 1 up 1 right", -1, 1),
+    ("cell 1 left", 0, -1),
+    ("cell 1 right", 0, 1),
+    ("cell 1 down 1 left", 1, -1),
+    ("cell 1 down", 1, 0),
+    ("cell 1 down 1 right", 1, 1),
+]
+
+
+def test_labels_of_the_warehouse():
+    met = set()
+    for env, value in seen("rware-tiny-4p", steps=200):
+        game = env.game
+        row, column, direction, load = game.agent[0, 0].tolist()
+        own = {part: value["the agent itself", part] for part in ("row", "column", "carries a shelf")}
+        assert own == {"row": row, "column": column, "carries a shelf": load >= 0}
+        assert value["the agent itself", ("up", "down", "left", "right")[direction]] == 1
+        shelves = {tuple(shelf[:2]): shelf[2] for shelf in game.shelf[0].tolist()}
+        agents = {tuple(agent[:2]) for agent in game.agent[0].tolist()}
+        for thing, down, across in CELLS:
+            place = row + down, column + across
+            assert value[thing, "shelf"] == (place in shelves)
+            assert value[thing, "requested"] == shelves.get(place, 0)
+            assert value[thing, "agent"] == (place in agents)
+            met |= {part for part in ("shelf", "requested", "agent") if value[thing, part]}
+    assert met == {"shelf", "requested", "agent"}  # the comparison met ones, not only zeros
+
+
+@pytest.mark.parametrize(
+    ("name", "agent", "kind"),
+    [
+        ("mpe-spread", 0, "agent 0"),
+        ("mpe-tag", 0, "the first predator"),
+        ("mpe-adversary", 0, "the first good agent"),
+        ("mpe-speaker-listener", 1, "agent 1, the listener"),
+    ],
+)
+def test_labels_of_the_particle_environments(name, agent, kind):
+    for env, value in seen(name, agent, kind, steps=10):
+        game = env.game
+        me = {"mpe-adversary": 1, "mpe-speaker-listener": 1}.get(name, 0)
+        own, speed = game.agent_position[0, me], game.agent_velocity[0]
+        for (thing, part), number in value.items():
+            axis = {"x": 0, "y": 1}.get(part)
+            if thing == "velocity":
+                expected = speed[me, axis]
+            elif thing == "position":
+                expected = own[axis]
+            elif thing == "the prey's velocity":
+                expected = speed[3, axis]
+            elif thing == "goal":
+                expected = game.landmark_position[0, game.goal[0], axis] - own[axis]
+            elif thing.startswith("landmark"):
+                expected = game.landmark_position[0, int(thing[-1]), axis] - own[axis]
+            elif thing == "the symbol said":
+                expected = float(game.symbol[0] == int(part))
+            elif thing == "zeros":
+                expected = 0
+            else:
+                number_of = 3 if "prey" in thing else int(thing[-1])
+                expected = game.agent_position[0, number_of, axis] - own[axis]
+            assert number == pytest.approx(expected, abs=1e-6), (thing, part)
+
+
+def test_labels_of_the_speaker():
+    env: Any = envs.make("mpe-speaker-listener", seed=3)
+    observed, _ = env.reset()
+    labels = observations.kinds("mpe-speaker-listener")["agent 0, the speaker"]
+    goal = [value.thing for value, number in zip(labels, observed[0, 0]) if number > 0.6]
+    assert goal == [f"landmark {env.game.goal[0]}"]
+
+
+@pytest.mark.parametrize("name", ["smaclite-3s5z-sc2", "smaclite-MMM2-sc2", "smaclite-2s_vs_1sc-sc2"])
+def test_labels_of_the_battles(name):
+    met = 0
+    for env, value in seen(name, steps=40):
+        units, names = env.game.unit[0], env.unit_names
+        me = units[0]
+        for k in range(1, len(units)):
+            side = f"ally {k}" if k < env.n_agents else f"enemy {k - env.n_agents}"
+            thing, other = f"{side}, {names[k]}", units[k]
+            across, up = other.x - me.x, other.y - me.y
+            near = other.hp > 0 and me.hp > 0 and np.hypot(across, up) < 9
+            met += near
+            for part, expected in (("x", across / 9), ("y", up / 9), ("hp", other.hp / other.max_hp), (names[k], 1)):
+                if (thing, part) in value:
+                    assert value[thing, part] == pytest.approx(expected if near else 0, abs=1e-5), (thing, part)
+        assert value["the unit itself", "hp"] == pytest.approx(me.hp / me.max_hp, abs=1e-6)
+    assert met > 20
+
+
+# --- the built site in a browser ---
+@pytest.fixture(scope="session")
+def site(tmp_path_factory, worker_id):
+    """The site, built as the README says, once for all workers of pytest-xdist."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "a folder with spaces" / "site"
+    with FileLock(f"{folder.parent}.lock"):
+        if not (folder / "built").exists():
+            command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", str(DOCS), str(folder)]
+            built = subprocess.run(command, capture_output=True, text=True)
+            assert built.returncode == 0, built.stderr
+            (folder / "built").touch()
+    return folder
+
+
+class Page(HTMLParser):
+    """The ids and the links of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.links = set(), []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.ids.add(found.get("id"))
+        self.links += [found[name] for name in ("href", "src") if found.get(name)]
+
+
+@functools.cache
+def parsed(file):
+    return Page(file.read_text(encoding="utf-8"))
+
+
+def test_no_link_and_no_anchor_is_broken(site):
+    broken = []
+    for file in site.glob("**/*.html"):
+        for link in parsed(file).links:
+            address = urllib.parse.urlsplit(link)
+            if address.scheme:
+                assert address.scheme in ("http", "https", "data"), link
+                continue
+            path = urllib.parse.unquote(address.path)
+            target = (file.parent / path).resolve() if path else file
+            if not target.exists():
+                broken.append((file.name, link))
+            elif address.fragment and target.suffix == ".html":
+                known = urllib.parse.unquote(address.fragment) in parsed(target).ids
+                broken += [] if known else [(file.name, link)]
+    assert broken == [], broken[:20]
+
+
+def test_pages_are_small(site):
+    for file in site.glob("**/*.html"):
+        own = [link for link in parsed(file).links if link.split("?")[0].endswith((".js", ".css"))]
+        parts = [file.parent / link.split("?")[0] for link in own]
+        size = file.stat().st_size + sum(part.stat().st_size for part in parts)
+        if 'class="chart"' in file.read_text(encoding="utf-8") or file.name == "explorer.html":
+            size += (site / "_static" / "vega.js").stat().st_size
+        assert size < LARGEST_PAGE, (file, size)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium without a window, which notes errors and requests."""
+    if not CHROMIUM or not DRIVER:
+        pytest.skip("the browser tests need chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1400,1000"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+def visit(browser, file, query=""):
+    """Opens a page of the site and waits until its charts that are in view are drawn."""
+    browser.get(file.as_uri() + query)
+    return browser
+
+
+def until(condition, seconds=20):
+    """Waits for a condition; returns its value, or what it is after so many seconds."""
+    end = time.monotonic() + seconds
+    while not (found := condition()) and time.monotonic() < end:
+        time.sleep(0.05)
+    return found
+
+
+def complaints(browser):
+    """Errors of the console, and requests that did not stay in the folder."""
+    errors = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    for entry in browser.get_log("performance"):
+        message = json.loads(entry["message"])["message"]
+        if message["method"] == "Network.requestWillBeSent":
+            address = message["params"]["request"]["url"]
+            if not address.startswith(("file:", "data:", "blob:")):
+                errors.append(f"request: {address}")
+    return errors
+
+
+ALL_DRAWN = """
+const figures = [...document.querySelectorAll("figure.chart")];
+const next = figures.find((figure) => !figure.querySelector("svg"));
+if (next) next.scrollIntoView();
+return !next;
+"""
+
+
+def test_every_page_loads_without_error_and_without_the_network(site, browser):
+    pages = [file for file in sorted(site.glob("**/*.html")) if "_modules" not in file.parts]
+    assert len(pages) > 30
+    for file in pages:
+        visit(browser, file)
+        assert until(lambda: browser.execute_script(ALL_DRAWN)), f"charts of {file.name} are not drawn"
+        assert complaints(browser) == [], file
+
+
+def test_formulas_are_typeset(site, browser):
+    for name in script.ALGORITHMS:
+        visit(browser, site / "algorithms" / f"{name}.html")
+        sizes = browser.execute_script(
+            "return [...document.querySelectorAll('.formula math')].map((x) => x.getBoundingClientRect())"
+            ".map(({width, height}) => [width, height])"
+        )
+        assert sizes and all(width > 20 and height > 8 for width, height in sizes)
+
+
+def test_no_page_is_wider_than_a_phone(site, browser):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    )
+    try:
+        for file in (site / "algorithms/mappo.html", site / "explorer.html", site / "environments/smaclite.html"):
+            visit(browser, file)
+            assert browser.execute_script("return document.documentElement.scrollWidth") <= 390, file
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_click_in_the_explorer_changes_its_curves(site, browser):
+    visit(browser, site / "explorer.html")
+    lines = "return [...document.querySelectorAll('#explorer .mark-line path')].map((x) => x.getAttribute('d')).join()"
+    before = until(lambda: browser.execute_script(lines))
+    assert before
+    browser.find_element("css selector", "#explorer input[value=mappo]").click()
+    without = until(lambda: (now := browser.execute_script(lines)) and now != before and now)
+    assert without and "mappo" not in browser.find_element("id", "explorer").get_attribute("data-shown")
+    browser.find_element("css selector", "#explorer input[value=independent]").click()
+    assert until(lambda: (now := browser.execute_script(lines)) and now not in (before, without))
+
+    paths = "[...document.querySelectorAll('#explorer .mark-line path')]"
+    faint = (
+        f"return {paths}.filter((x) => x.getAttribute('opacity') !== null && +x.getAttribute('opacity') < 0.5).length"
+    )
+    assert browser.execute_script(faint) == 0
+    browser.find_element(
+        "css selector", "#explorer .role-legend-entry .role-legend-label, #explorer .role-legend-entry text"
+    ).click()
+    assert until(lambda: browser.execute_script(faint)) > 0
+    assert complaints(browser) == []
+
+
+def test_tables_are_sorted_by_a_click(site, browser):
+    visit(browser, site / "explorer.html")
+    table = browser.find_element("css selector", "table.results")
+    assert until(lambda: browser.find_elements("css selector", "#explorer svg"))  # which moves what stands below it
+    browser.execute_script("arguments[0].scrollIntoView({behavior: 'instant', block: 'start'})", table)
+    table.find_elements("css selector", "th button")[1].click()
+    column = (
+        "return [...arguments[0].tBodies[0].rows].map((row) => row.cells[1].dataset.value).filter(Boolean).map(Number)"
+    )
+    values = browser.execute_script(column, table)
+    assert len(values) > 3 and values == sorted(values, reverse=True)
+
+
+def test_search_finds_bootstrap(site, browser):
+    visit(browser, site / "search.html", "?q=bootstrap")
+    found = until(lambda: browser.find_elements("css selector", "#search-results li a"))
+    assert found
+    assert complaints(browser) == []
