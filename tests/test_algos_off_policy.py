@@ -477,14 +477,6 @@ class TestReplay:
                 ends = REAL_ENDS[k % len(LENGTHS)] or time_limit == "terminal"
                 assert batch.no_bootstrap[:length, e].tolist() == [False] * (length - 1) + [ends]
 
-    def test_two_environments_are_refused(self, tmp_path):
-        """Their second episode would be lost."""
-        module = script(OFF_POLICY[0])
-        args, env = module.Args(), envs.make("matrix-climbing", 2)
-        with pytest.raises(ValueError, match="one environment"):
-            module.Replay(args, env, module.new_batch(args, env), tmp_path / "replay.bin")
-        assert not (tmp_path / "replay.bin").exists()
-
     def test_number_of_episodes(self, tmp_path):
         for limit, buffer_size, batch_size, size in (
             (50, 5000, 32, 5000),
