@@ -20,10 +20,10 @@ Algorithm: Foerster et al., "Counterfactual Multi-Agent Policy Gradients" (2018)
 are TD(lambda), the critic also sees o_i and the last actions, and a least probability of each
 action (epsilon) stands in the place of the entropy.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). Their code, EPyMARL, differs in three points. It replaced the rewards of
+in Cooperative Tasks" (2021). Their code, EPyMARL, differs in two points. It replaced the rewards of
 a batch's last step by values; here they stay, and after a time-out the value of the next state is
 added. It also counted padding, the rows after an episode's end, when it standardised rewards.
-And it gave COMA's actors their ids without parameter sharing.
+As a third, it gave COMA's actors their ids without parameter sharing.
 
     python algos/coma.py --env lbf-15x15-3p-5f
     python algos/coma.py --watch runs/lbf-15x15-3p-5f/coma-shared/seed0

@@ -24,14 +24,23 @@ from envs.runs.directory import (
 )
 from envs.runs.flags import OF_ONE_RUN, RANGES, changed_flags, check_flags, parse_flags, show_help
 from envs.runs.log import Log, in_words
-from envs.runs.process import StopSignals, Stopwatch, keep_freed_memory, one_sentence, open_streams, provenance, say, script_hash
+from envs.runs.process import (
+    StopSignals,
+    Stopwatch,
+    keep_freed_memory,
+    one_sentence,
+    open_streams,
+    provenance,
+    say,
+    script_hash,
+)
 from envs.runs.replay import EpisodeFile
 
 __all__ = [
-    "EpisodeFile",
-    "Log",
     "OF_ONE_RUN",
     "RANGES",
+    "EpisodeFile",
+    "Log",
     "RunDirectory",
     "StopSignals",
     "Stopwatch",
