@@ -566,6 +566,23 @@ def test_killed_and_resumed_through_an_adapter(monkeypatch: pytest.MonkeyPatch, 
     assert evaluations(tmp_path / "run") == evaluations(tmp_path / "whole")
 
 
+@pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no SIGTERM for other processes")
+def test_a_run_whose_environment_hangs_can_be_stopped(tmp_path: Path) -> None:
+    """By a second SIGTERM; the first one says so, and the workers end as well."""
+    flags = ["--env", "pettingzoo:toy_broken", "--env-kwargs", "how='hangs'", "--env-workers", 2]
+    flags += ["--individual-rewards", "--no-parameter-sharing", "--total-timesteps", 100, "--run-dir", tmp_path / "run"]
+    with subprocess.Popen(command("ippo", *flags), stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "This run is kept in" in process.stderr.readline()
+        time.sleep(1)
+        process.send_signal(signal.SIGTERM)
+        assert process.stderr.readline() == "Stopping after this batch; once more ends the process at once.\n"
+        time.sleep(3.5)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=30)  # the workers', too
+    assert (process.returncode, said) == (143, "")
+
+
 def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
     """--watch plays the environment with the keyword arguments of the run, and films the environment's own pictures."""
     flags: list[Any] = [

@@ -386,17 +386,31 @@ class TestCommit:
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
-def test_the_third_ctrl_c_ends_at_once() -> None:
-    """An environment may hang, and then no batch ends."""
+@pytest.mark.parametrize(
+    ("numbers", "echo", "end", "said"),
+    [
+        (["INT", "TERM", "TERM", "TERM", "INT", "INT"], 60, KeyboardInterrupt, "twice more"),
+        (["TERM", "TERM"], 0, SystemExit, "once more"),
+        (["HUP", "INT", "INT", "HUP"], 0, SystemExit, "once more"),
+    ],
+)
+def test_what_ends_a_process_that_hangs(
+    numbers: list[str], echo: float, end: type[BaseException], said: str, monkeypatch: Any, capfd: Any
+) -> None:
+    """An environment may hang, and then no batch ends. The first signal says so; what follows that one ends."""
+    monkeypatch.setattr(runs.process, "ECHO_SECONDS", echo)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         signals = runs.StopSignals()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM, signal.SIGTERM, signal.SIGINT):
-            os.kill(os.getpid(), number)
-        assert signals.received == signal.SIGINT
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1)
+        *others, last = (getattr(signal, f"SIG{name}") for name in numbers)
+        for number in others:
+            signal.raise_signal(number)
+            assert signals.received == number
+        with pytest.raises(end) as ended:
+            signal.raise_signal(last)
+        assert end is KeyboardInterrupt or ended.value.code == 128 + last
+        assert all(signal.getsignal(number) is signal.SIG_DFL for number in before)
+        assert capfd.readouterr().err == f"Stopping after this batch; {said} ends the process at once.\n"
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import hashlib
 import importlib.metadata
+import math
 import os
 import platform
 import re
@@ -21,6 +22,9 @@ from tqdm import tqdm
 
 from envs import fast_mkl
 from envs.tasks import InputError
+
+
+ECHO_SECONDS = 3.0  # within which a signal is the same one again
 
 
 def flush_stdout() -> None:
@@ -67,25 +71,44 @@ class Stopwatch:
 class StopSignals:
     """Notes Ctrl-C, SIGTERM and SIGHUP instead of dying at once, so that a run can save what it has.
 
-    The third Ctrl-C ends it at once, since an environment may hang. Its last checkpoints stay as they are.
+    Since an environment may hang, the third Ctrl-C, the second SIGTERM and the second SIGHUP end the process at once;
+    its last checkpoints stay as they are. What comes within ECHO_SECONDS is the same SIGTERM again: `timeout`, for one,
+    sends it to a process and then to its group.
     """
 
     advice = "the same command with --resume goes on"
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self.interrupts = 0
+        self.counted: dict[int, int] = {}  # how often each has come
+        self.since = -math.inf  # when the last one came that was no Ctrl-C
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             ignored = name == "SIGHUP" and number and signal.getsignal(number) is signal.SIG_IGN  # by `nohup`
             if number is not None and not ignored:
+                self.counted[number] = 0
                 signal.signal(number, self._note)
 
     def _note(self, number: int, frame: Any) -> None:
+        first = self.received is None
         self.received = number
-        self.interrupts += number == signal.SIGINT
-        if self.interrupts > 2:
-            raise KeyboardInterrupt
+        needed = 2
+        if number == signal.SIGINT:
+            needed = 3
+        elif time.monotonic() - self.since < ECHO_SECONDS:
+            return
+        else:
+            self.since = time.monotonic()
+        self.counted[number] += 1
+        if self.counted[number] == needed:
+            for each in self.counted:
+                signal.signal(each, signal.SIG_DFL)  # should what follows hang, too
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+        if first:
+            times = "twice" if needed == 3 else "once"
+            line = f"Stopping after this batch; {times} more ends the process at once.\n"
+            with contextlib.suppress(OSError):  # not by `say`: this may have interrupted a line that is being written
+                os.write(2, f"{os.linesep if os.isatty(2) else ''}{line}".encode())
 
     def exit(self, timestep: int) -> None:
         """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""
