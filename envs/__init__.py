@@ -145,13 +145,16 @@ def optional(package: str, extra: str | None = None) -> ModuleType:
 def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], episodes: int = 5) -> str:
     """Play episodes drawn from the seed with a team that a script's `load` returned, and save the first ones as a GIF.
 
-    Returns a line that says where the film is, or that there is none.
+    Returns a line that says where the film is, or why there is none.
     """
     if not env.can_draw:
         return f"{env.name} has no pictures, so there is no film."
     from envs import render  # imports Pillow
 
-    render.film(env, team, seed, path, episodes)
+    try:
+        render.film(env, team, seed, path, episodes)
+    except OSError as error:  # a directory that cannot be written, a full disk
+        return f"There is no place for the film: {error}"
     return f"film: {path}"
 
 

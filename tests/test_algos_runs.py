@@ -5,6 +5,7 @@ The text of the run is the same in all nine scripts, so what only it decides is 
 
 import csv
 import json
+import os
 import random
 import shutil
 import signal
@@ -306,7 +307,8 @@ def test_the_replay_keeps_what_the_checkpoint_before_refers_to(monkeypatch, caps
     assert main(monkeypatch, capsys, "vdn", *short("vdn"), "--run-dir", tmp_path / "whole")[0] == 0
     stop_after(monkeypatch, capsys, "vdn", tmp_path / "run", 75)  # the replay holds 40, and saves at every tenth
     (tmp_path / "run" / "checkpoint.pt").write_bytes(b"damaged")
-    assert main(monkeypatch, capsys, "vdn", *short("vdn"), "--run-dir", tmp_path / "run", "--resume")[0] == 0
+    code, said = main(monkeypatch, capsys, "vdn", *short("vdn"), "--run-dir", tmp_path / "run", "--resume")
+    assert code == 0 and "checkpoint.pt is damaged; checkpoint.previous.pt takes its place." in said
     assert not (tmp_path / "run" / "replay.bin").exists()
     assert evaluations(tmp_path / "run") == evaluations(tmp_path / "whole")
 
@@ -357,7 +359,11 @@ def test_a_complete_run_of_a_replay_cannot_grow(monkeypatch, capsys, tmp_path):
 def test_a_complete_run_resumed_changes_nothing(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     copy = copy_of(directory, tmp_path / "run")
-    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", copy, "--resume")[0] == 0
+    monkeypatch.chdir(ROOT)
+    code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", copy, "--resume")
+    assert code == 0
+    play = f"python {Path('algos', name)}.py --watch {copy}"
+    assert said.splitlines()[-1] == f"{copy} is complete; this plays what was learnt: {play}"
     for file in WRITTEN:  # config.json tells which commit completed it
         assert (copy / file).read_bytes() == (directory / file).read_bytes()
     assert not (copy / "progress.json").exists()
@@ -391,7 +397,7 @@ def test_a_full_disk_ends_in_one_sentence(monkeypatch, capsys, tmp_path, name):
     (tmp_path / "checkpoint.new.pt").symlink_to("/dev/full")
     monkeypatch.setattr(runs.directory, "last_checkpoint", lambda directory: None)
     code, said = main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path, "--resume")
-    assert code == 2 and "No space left" in said.splitlines()[-1]
+    assert code == 2 and said.splitlines()[-1].endswith(f"No space left on device: '{tmp_path / 'checkpoint.new.pt'}'")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
@@ -419,7 +425,8 @@ def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
 
     flags = ["--env", "matrix-climbing", "--hidden-dim", "8", "--total-timesteps", "200000", "--eval-points", "2"]
     done = run("ia2c", *flags, "--run-dir", tmp_path / "run", preexec_fn=little_room)
-    assert done.returncode == 2 and "Traceback" not in done.stderr and "ia2c: [Errno " in done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "ia2c: [Errno " in done.stderr.splitlines()[-1] and str(tmp_path / "run") in done.stderr.splitlines()[-1]
     assert runs.read_checkpoint(tmp_path / "run", "ia2c")["timestep"] == 0
 
 
@@ -548,6 +555,15 @@ class TestWrongInput:
             assert "No directory can have the name" in self.one_sentence(self.refused(monkeypatch, capsys, *flags))
 
     @pytest.mark.slow
+    def test_a_name_in_a_terminal_without_unicode(self, tmp_path):
+        flags = [*short("mappo"), "--run-dir", tmp_path / "ü"]
+        terminal = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+        done = run("mappo", *flags, env=terminal)
+        assert done.returncode == 2 and "PYTHONUTF8=1 changes that." in self.one_sentence(done.stderr)
+        assert not any(tmp_path.iterdir())
+        assert run("mappo", *flags, env=terminal | {"PYTHONUTF8": "1"}).returncode == 0
+
+    @pytest.mark.slow
     def test_a_directory_in_use(self, mappo_run, monkeypatch, capsys):
         flags, directory = mappo_run
         with runs.directory.filelock.FileLock(directory / "lock"):
@@ -651,6 +667,16 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     assert said[1] == f"film: {copy / 'film.gif'}"
     with Image.open(copy / "film.gif") as film:
         assert getattr(film, "n_frames", 1) > 3
+
+
+@pytest.mark.slow
+def test_watching_where_nothing_can_be_written(mappo_run, monkeypatch, capsys, tmp_path):
+    copy = copy_of(mappo_run[1], tmp_path / "run")
+    (copy / "film.gif").mkdir()
+    monkeypatch.setattr(sys, "argv", ["mappo.py", "--watch", str(copy), "--eval-episodes", "3"])
+    script("mappo").main()
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("return_mean ") and said[1].startswith("There is no place for the film: [Errno")
 
 
 @pytest.mark.slow

@@ -11,6 +11,8 @@ import json
 import math
 import os
 import re
+import shlex
+import sys
 import time
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +33,17 @@ SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run lose
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 
 
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An error of the file system names this path: what goes wrong in a write, unlike in `open`, names none."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is not None and error.filename is None:
+            error.filename = str(path)
+        raise
+
+
 def write_whole(path: Path, text: str) -> None:
     """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
 
@@ -38,7 +51,7 @@ def write_whole(path: Path, text: str) -> None:
     """
     new = path.with_name(f"{path.name}.new")
     try:
-        with open(new, "w", newline="\n", encoding="utf-8") as file:
+        with naming(new), open(new, "w", newline="\n", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
@@ -71,7 +84,7 @@ def is_whole(checkpoint: Path) -> bool:
 def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
     """The last checkpoint in a directory that is whole, or None where there has never been one.
 
-    Raises InputError where there are checkpoints, but none that can be read.
+    Says so where a later one is damaged. Raises InputError where there are checkpoints, but none that can be read.
     """
     import torch
 
@@ -85,9 +98,13 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
         try:
             saved = torch.load(path, map_location="cpu", weights_only=True)
             saved["config"]["algorithm"], saved["config"]["flags"], saved["rows"], saved["seconds"]
-            return renewed(saved)
+            saved = renewed(saved)
         except Exception:  # torch.load raises almost anything on a damaged file
             damaged.append(path.name)
+            continue
+        if damaged:
+            say(f"{directory}: {damaged[0]} is damaged; {path.name} takes its place.")
+        return saved
     if damaged in ([], ["checkpoint.new.pt"]) and not Path(directory, "evaluations.csv").exists():
         return None  # the very first one has not been written, or not to its end
     raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged) or 'they are gone'}).")
@@ -139,9 +156,10 @@ class RunDirectory:
 
         script: the file that runs. args, default: its Args as they are, and as the paper has them for this task.
         Raises InputError where it holds a run and --resume is missing, where it holds anything else, where another
-        process uses it, and where the file system cannot write its name.
+        process uses it, and where the file system cannot write its name. A run that has ended before its first
+        checkpoint, as on a full disk, is none: another one begins in its place.
         """
-        self.args = args
+        self.script, self.args = script, args
         self.config = describe(script, args, default)
         self._stopwatch = Stopwatch()
         self._saved_at = time.monotonic()
@@ -150,12 +168,13 @@ class RunDirectory:
         )
         self.path = path = Path(args.run_dir) if args.run_dir else usual
         try:
+            str(path).encode()  # TensorBoard writes it like this
             found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
             begun = any(name.removesuffix(".new") in (*CHECKPOINTS, "progress.json") for name in found)
             if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
                 raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
-            if begun and not args.resume:
+            if not args.resume and {*CHECKPOINTS[:2], "evaluations.csv"} & set(found):
                 raise InputError(f"{path} holds a run: --resume goes on with it, another --run-dir begins a new one.")
             path.mkdir(parents=True, exist_ok=True)
             self._lock = filelock.FileLock(path / "lock").acquire(timeout=0)
@@ -164,7 +183,11 @@ class RunDirectory:
         except InputError:
             raise
         except ValueError as error:  # a character that the file system's encoding lacks, or a NUL
-            raise InputError(f"No directory can have the name {str(path)!a}: {error}.") from None
+            encoding = sys.getfilesystemencoding()
+            advice = (
+                "" if encoding == "utf-8" else f" Python reads names as {encoding} here; PYTHONUTF8=1 changes that."
+            )
+            raise InputError(f"No directory can have the name {str(path)!a}: {error}.{advice}") from None
 
     @staticmethod
     def _is_ours(name: str) -> bool:
@@ -220,7 +243,7 @@ class RunDirectory:
         last, previous, new = (self.path / name for name in CHECKPOINTS)
         in_memory = io.BytesIO()  # on a full disk torch.save itself would end with a RuntimeError
         torch.save(saved, in_memory)
-        with open(new, "wb") as file:
+        with naming(new), open(new, "wb") as file:
             file.write(in_memory.getbuffer())
             file.flush()
             os.fsync(file.fileno())  # it takes the place of a good one
@@ -248,9 +271,14 @@ class RunDirectory:
                 write_whole(path, text)
 
     def complete(self) -> None:
-        """Deletes what only a running run needs."""
+        """Deletes what only a running run needs, and says how to watch what has been learnt."""
         for name in ("progress.json", "replay.bin"):
             (self.path / name).unlink(missing_ok=True)
+        script = Path(self.script).resolve()
+        with contextlib.suppress(ValueError):  # it lies elsewhere
+            script = script.relative_to(Path.cwd())
+        words = ["python", str(script), "--watch", str(self.path)]
+        say(f"{self.path} is complete; this plays what was learnt: {shlex.join(words)}")
 
 
 def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[str, Any]:

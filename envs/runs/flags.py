@@ -65,6 +65,38 @@ RANGES = {
 }
 
 
+WHOLE_NUMBERS = tyro.constructors.ConstructorRegistry()
+
+
+@WHOLE_NUMBERS.primitive_rule
+def whole_numbers(info: Any) -> Any:
+    """How tyro reads a flag of the type int: also as 1e6."""
+    if info.type is not int:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda words: whole_number(words[0]),
+        is_instance=lambda value: isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def whole_number(text: str) -> int:
+    """Raises ValueError for what is none."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value.is_integer():
+        raise ValueError(f"{text} is not a whole number")
+    return int(value)
+
+
 def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: list[str], doc: str | None) -> Flags:
     """Reads the command line into a script's Args.
 
@@ -79,7 +111,7 @@ def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: l
             show_help(args_class, default, doc or "")
         flush_stdout()
         sys.exit()
-    args: Any = tyro.cli(args_class, args=argv, default=default)
+    args: Any = tyro.cli(args_class, args=argv, default=default, registry=WHOLE_NUMBERS)
     check_flags(args)
     if args.watch == "" and any(word.partition("=")[0] == "--watch" for word in argv):
         raise InputError("--watch needs the directory of a run.")  # an unset variable of a shell, for example

@@ -17,11 +17,12 @@ from typing import Any
 from tqdm import tqdm
 
 from envs import optional
-from envs.runs.directory import write_whole
+from envs.runs.directory import naming, write_whole
 from envs.runs.process import say
 from envs.tasks import InputError
 
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json
+LINE_SECONDS = 10.0, 300.0  # without a terminal, between two lines: at first, and at most, since it doubles
 
 
 def in_words(results: Mapping[str, float]) -> str:
@@ -48,7 +49,8 @@ class Log:
         write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
         self.begun_at = self.timestep = timestep
-        self.started = self.shown = time.monotonic()
+        self.started = self.shown = self.said = time.monotonic()
+        self.pause = LINE_SECONDS[0]
         self.last_evaluation: float | None = None
         self.returns: deque[float] = deque(maxlen=100)  # of the last training episodes
         self.lengths: deque[float] = deque(maxlen=100)
@@ -60,8 +62,8 @@ class Log:
     def evaluation(self, timestep: int, results: Mapping[str, float]) -> None:
         """Shows an evaluation."""
         self.last_evaluation = results["return_mean"]
-        for name, value in results.items():
-            self.writer.add_scalar(f"evaluation/{name}", value, timestep)
+        self._write({f"evaluation/{name}": value for name, value in results.items()}, timestep)
+        self.said = time.monotonic()
         say(f"step {timestep:,}: {in_words(results)}")
 
     def batch(
@@ -94,20 +96,30 @@ class Log:
             write_whole(self.path / "progress.json", json.dumps(progress) + "\n")
         said = "" if self.last_evaluation is None else f", evaluation {self.last_evaluation:.3f}"
         self.bar.set_postfix_str(f"return {recent:.3f}{said}", refresh=False)
+        if self.bar.disable and now - self.said >= self.pause:
+            self.said, self.pause = now, min(2 * self.pause, LINE_SECONDS[1])
+            left = tqdm.format_interval(max(self.total - timestep, 0) / speed)
+            say(f"step {timestep:,} of {self.total:,}: return {recent:.3f}, {speed:,.0f} steps/s, {left} left")
         self.bar.update(timestep - self.timestep)
         due = timestep * 1000 // self.total > self.timestep * 1000 // self.total
         self.timestep = timestep
         if due:
-            self.writer.add_scalar("training/return_mean", recent, timestep)
-            self.writer.add_scalar("training/episode_length", fmean(self.lengths), timestep)
-            self.writer.add_scalar("training/steps_per_second", speed, timestep)
+            figures["training/return_mean"] = recent
+            figures["training/episode_length"] = fmean(self.lengths)
+            figures["training/steps_per_second"] = speed
+            self._write(figures, timestep)
+
+    def _write(self, figures: Mapping[str, float], timestep: int) -> None:
+        """Hands figures to TensorBoard, whose thread may have met an error since the last ones."""
+        with naming(self.path):
             for name, value in figures.items():
                 self.writer.add_scalar(name, value, timestep)
 
     def close(self) -> None:
         """Ends the progress bar and TensorBoard's file."""
         self.bar.close()
-        self.writer.close()
+        with naming(self.path):
+            self.writer.close()
 
 
 def show_error(failure: threading.ExceptHookArgs) -> None:

@@ -23,7 +23,6 @@ from tqdm import tqdm
 from envs import fast_mkl
 from envs.tasks import InputError
 
-
 ECHO_SECONDS = 3.0  # within which a signal is the same one again
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from envs.runs.directory import naming
 from envs.runs.process import say
 from envs.tasks import InputError
 
@@ -51,7 +52,7 @@ class EpisodeFile:
         if room > memory:
             raise InputError(f"{path} would take {mib}, more than the free memory.")
         if played == 0:
-            with open(path, "wb") as file:
+            with naming(path), open(path, "wb") as file:
                 file.truncate(room)
                 if hasattr(os, "posix_fallocate"):  # take the room at once, not when the disk is full
                     os.posix_fallocate(file.fileno(), 0, room)
