@@ -44,12 +44,6 @@ class Args:
     device: str = "cpu"  # where
 
 
-@dataclass
-class OwnArgs:
-    # network
-    layers: tuple[int, ...] = (64, 64)  # widths
-
-
 def open_directory(path: Path, **flags: Any) -> runs.RunDirectory:
     args = Args(run_dir=str(path), **flags)
     return runs.RunDirectory(__file__, args, Args())
@@ -448,12 +442,6 @@ def test_a_reader_that_has_seen_enough(flush: bool, code: int, said: str) -> Non
     assert (done.returncode, done.stderr) == (code, said)
 
 
-def test_help_for_flags_of_other_kinds(capsys: Any) -> None:
-    """Of a changed copy of a script."""
-    runs.show_help(OwnArgs, OwnArgs(), "a script")
-    assert "--layers VALUE" in capsys.readouterr().out
-
-
 def test_what_the_system_puts_into_a_folder_does_not_matter(tmp_path: Path) -> None:
     open_directory(tmp_path / "run")._lock.lock.release()
     (tmp_path / "run" / "progress.json").write_text("{}")
@@ -462,12 +450,6 @@ def test_what_the_system_puts_into_a_folder_does_not_matter(tmp_path: Path) -> N
     (tmp_path / "run" / "notes.txt").touch()
     with pytest.raises(InputError, match=r"not a run of ours, such as 'notes\.txt'"):
         open_directory(tmp_path / "run", resume=True)
-
-
-def test_help_in_the_narrowest_terminal(monkeypatch: Any, capsys: Any) -> None:
-    monkeypatch.setenv("COLUMNS", "1")
-    runs.show_help(Args, Args(), "a script")
-    assert "--gamma NUMBER" in capsys.readouterr().out
 
 
 def test_lines_where_there_is_no_terminal(monkeypatch: Any, capsys: Any, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from envs.runs.directory import (
     safe_name,
     write_whole,
 )
-from envs.runs.flags import OF_ONE_RUN, RANGES, changed_flags, check_flags, parse_flags, show_help
+from envs.runs.flags import OF_ONE_RUN, RANGES, changed_flags, check_flags, parse_flags
 from envs.runs.log import Log, in_words
 from envs.runs.process import (
     StopSignals,
@@ -61,6 +61,5 @@ __all__ = [
     "safe_name",
     "say",
     "script_hash",
-    "show_help",
     "write_whole",
 ]

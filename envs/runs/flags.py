@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import inspect
 import math
-import re
 import shutil
 import sys
 import textwrap
@@ -107,7 +105,7 @@ def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: l
     others = [word for word in argv if word not in ("-h", "--help")]
     default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
     if len(others) < len(argv):
-        with contextlib.suppress(BrokenPipeError):
+        with contextlib.suppress(BrokenPipeError, SystemExit):  # tyro exits where it has shown the flags
             show_help(args_class, default, doc or "")
         flush_stdout()
         sys.exit()
@@ -154,38 +152,14 @@ def changed_flags(args: Any, default: Any) -> dict[str, Any]:
     return {name: value for name, value in ordered if name not in named and value != getattr(default, name)}
 
 
-def show_help(args_class: type, default: Any, description: str) -> None:
-    """Prints the flags of a script's Args in groups, wrapped to the terminal.
+def show_help(args_class: type, default: Any, doc: str) -> None:
+    """Prints a script's docstring, wrapped to the terminal, and tyro's list of the flags.
 
-    Each line `# title` in the class begins a group, and the comment behind a field is its help.
+    tyro itself would make one long line of each paragraph.
     """
-    width = max(min(shutil.get_terminal_size().columns, 120) - 1, 20)
-    column = 30  # where the explanations begin
-    for paragraph in description.strip().split("\n\n"):
-        if paragraph.startswith("    "):  # formulas and commands keep their lines
-            print(paragraph, end="\n\n")
-        else:
-            print(textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False), end="\n\n")
-    for line in inspect.getsource(args_class).splitlines():
-        title = re.fullmatch(r" {4}# (.+)", line)
-        field = re.fullmatch(r" {4}(\w+): (?!ClassVar)(.+?) = .+?  # (.+)", line)
-        if title:
-            print(f"\n{title[1]}:")
-        if field:
-            name, kind, text = field.groups()
-            flag = f"--{name.replace('_', '-')}"
-            if kind == "bool":
-                flag += f", --no-{name.replace('_', '-')}"
-            elif kind.startswith("Literal"):
-                flag += " {" + ",".join(re.findall(r'"(\w+)"', kind)) + "}"
-            else:
-                flag += {"int": " INTEGER", "float": " NUMBER", "str": " TEXT"}.get(kind, " VALUE")
-            value = getattr(default, name)
-            if value != "":
-                text += f" (default: {value})"
-            head = f"  {flag}".ljust(column)
-            if len(head) > column:  # the flag takes a line of its own
-                print(head)
-                head = " " * column
-            wrapper = textwrap.TextWrapper(max(width, column + 30), head, " " * column, break_on_hyphens=False)
-            print(wrapper.fill(text))
+    width = min(shutil.get_terminal_size().columns, 120) - 1
+    for paragraph in doc.strip().split("\n\n"):
+        if not paragraph.startswith("    "):  # formulas and commands keep their lines
+            paragraph = textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False)
+        print(paragraph, end="\n\n")
+    tyro.cli(args_class, args=["--help"], default=default, description="")
