@@ -381,8 +381,8 @@ def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> d
 def train(args: Args) -> None:
     """Trains a team on a task."""
     rng = torch.manual_seed(args.seed)  # PyTorch's global one: draws weights and actions
-    env = envs.make_for(args, args.num_envs, args.seed)
-    envs.check_teams(env, args.individual_rewards, args.parameter_sharing)
+    env = runs.make_for(args, args.num_envs, args.seed)
+    runs.check_teams(env, args.individual_rewards, args.parameter_sharing)
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     critic = MultiAgentNetwork(args, env.n_agents, env.state_size, 1)
     learner = {  # what a checkpoint keeps
@@ -430,7 +430,7 @@ class Run:
         self.timestep = self.updates = 0  # a timestep is a step of one environment
         self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = envs.make_for(args, args.eval_episodes)
+        self.eval_env = runs.make_for(args, args.eval_episodes)
         paper = paper_defaults(args.env, args.parameter_sharing)
         self.directory = runs.RunDirectory(__file__, args, paper)
         saved = self.directory.checkpoint()
@@ -517,7 +517,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
 def watch(args: Args) -> None:
     """Plays what was trained and prints the results, then films the first of the same episodes."""
     team = load(args.watch, args.seed)
-    env = envs.make_for(team.args, args.eval_episodes, pictures=True)
+    env = runs.make_for(team.args, args.eval_episodes, pictures=True)
     print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
     print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
 

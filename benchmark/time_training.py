@@ -168,19 +168,19 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect = timed(module.collect, parts, "acting", timer)
     module.update = timed(module.update, parts, "update", timer)
-    make = module.envs.make_for
+    make = module.runs.make_for
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
         env = make(*args, **kwargs)
         env.step = timed(env.step, parts, "step", timer)
         return env
 
-    module.envs.make_for = make_timed
+    module.runs.make_for = make_timed
     with tempfile.TemporaryDirectory() as directory:
         timed_run = module.Run = TimedRun(module, seconds, Path(directory), timer)
         with contextlib.redirect_stderr(io.StringIO()):  # what a replay takes, which is cut here
             module.train(args)
-    module.envs.make_for = make
+    module.runs.make_for = make
     rate, reference = statistics.median(timed_run.rates), statistics.median(timed_run.reference_rates)
     acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])

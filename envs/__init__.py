@@ -21,19 +21,16 @@ from typing import TYPE_CHECKING, Any
 from envs import fast_mkl  # noqa: F401 (it must come before whatever imports PyTorch)
 from envs.adapters import as_gymnasium
 from envs.adapters.foreign import import_module, parse_kwargs
-from envs.tasks import InputError, Task, task, task_names
-from envs.vector import EpisodeTotals, VectorEnv, check_one_team, check_teams
+from envs.tasks import Task, task, task_names
+from envs.vector import EpisodeTotals, InputError, VectorEnv
 
 __all__ = [
     "EpisodeTotals",
     "InputError",
     "Task",
     "VectorEnv",
-    "check_one_team",
-    "check_teams",
     "film",
     "make",
-    "make_for",
     "optional",
     "pettingzoo_env",
     "task",
@@ -102,9 +99,11 @@ def make(
     if name.startswith(("pettingzoo:", "gymnasium:")):
         options["pictures"] = pictures
     elif options:
-        flag = next(iter(options)).replace("_", "-")
-        others = ", or of your own" if flag == "env-kwargs" else ""
-        raise InputError(f"--{flag} is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules.")
+        option = next(iter(options))
+        others = ", or of your own" if option == "env_kwargs" else ""
+        raise InputError(
+            f"`{option}` is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules."
+        )
     too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
     if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
         raise too_large
@@ -114,21 +113,6 @@ def make(
         raise too_large from None
     env.checks_numbers |= name.startswith("own:")
     return env
-
-
-def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) -> VectorEnv:
-    """The environment that a script's flags name, with copy=False."""
-    return make(
-        args.env,
-        num_envs,
-        seed,
-        copy=False,
-        env_kwargs=args.env_kwargs,
-        max_episode_steps=args.max_episode_steps,
-        flatten_images=args.flatten_images,
-        env_workers=args.env_workers,
-        pictures=pictures,
-    )
 
 
 def optional(package: str, extra: str | None = None) -> ModuleType:

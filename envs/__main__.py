@@ -14,7 +14,7 @@ import sys
 import envs
 from envs import tasks
 from envs.check import problems
-from envs.runs import check_flags, open_streams
+from envs.runs import check_flags, open_streams, with_flags
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -60,7 +60,7 @@ def check_task(argv: list[str]) -> None:
         check_flags(flags)
         found = problems(make)
     except envs.InputError as error:
-        parser.exit(2, f"{error}\n")
+        parser.exit(2, f"{with_flags(str(error))}\n")
     show(parser, "\n".join(found) or f"{name} keeps the contract.")
     sys.exit(1 if found else 0)
 

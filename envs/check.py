@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.tasks import InputError
-from envs.vector import INFO_ARRAYS, RESULTS, VectorEnv
+from envs.vector import INFO_ARRAYS, RESULTS, InputError, VectorEnv
 
 Make = Callable[[int, int, bool], VectorEnv]  # of num_envs, seed and copy
 Step = tuple[Any, ...]  # observations, rewards, terminated, truncated, info

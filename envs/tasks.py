@@ -19,14 +19,11 @@ import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
+from envs.families import OPPONENTS, PLACES_TRIED
 from envs.families.smaclite.maps import LITE_MAPS
-
-
-class InputError(ValueError):
-    """The user asked for something that cannot be done, such as an unknown task. The message is one sentence."""
+from envs.vector import InputError
 
 
 @dataclass(frozen=True)
@@ -75,9 +72,6 @@ PAPER_TASKS = (
     "smaclite-corridor-sc2",
     "smaclite-3s_vs_5z-sc2",
 )
-
-
-OPPONENTS = Path(__file__).parent / "families" / "opponents"  # trained networks that play in tasks of MPE
 
 
 def task_names() -> list[str]:
@@ -196,9 +190,6 @@ def parse_matrix(name: str) -> Task | None:
     return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", {"penalty": penalty})
 
 
-MOST_FOODS = 1000  # the rules try so many places for the foods of an episode (PLACES_TRIED in families/lbf.py)
-
-
 def parse_lbf(name: str) -> Task | None:
     """Level-Based Foraging on a board of any size that has room for the agents and the foods."""
     match = re.fullmatch(f"lbf-{NUMBER}x{NUMBER}-{NUMBER}p-{NUMBER}f(-2s)?(-c)?(-v3)?", name)
@@ -207,9 +198,9 @@ def parse_lbf(name: str) -> Task | None:
     rows, columns, n_agents, n_foods = (int(match[i]) for i in range(1, 5))
     if n_agents == 0 or n_foods == 0:
         raise InputError(f"{name}: the game needs at least one agent and one food.")
-    if n_foods > MOST_FOODS:
+    if n_foods > PLACES_TRIED:
         raise InputError(
-            f"{name}: the game tries {MOST_FOODS:,} places for its foods, so there are never more of them."
+            f"{name}: the game tries {PLACES_TRIED:,} places for its foods, so there are never more of them."
         )
     if rows < 3 or columns < 3:
         raise InputError(f"{name}: foods never lie on the border, so a board needs at least 3 rows and 3 columns.")

@@ -50,12 +50,8 @@ from gymnasium.vector import VectorEnv as GymnasiumVectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from envs.tasks import InputError
-
 Info = dict[str, Any]
 RESULTS = ("observations", "rewards", "terminated", "truncated")
-TAKEN = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length", "seed"}
-TAKEN |= {"task", "family", "algorithm", "sharing", "setting", "total_timesteps", "paper_timesteps"}
 INFO_ARRAYS = ("agent_rewards", "state", "action_mask")  # of the info, besides the statistics
 NUMBERS = {  # arrays of numbers, and what one of them is
     "observations": "an observation",
@@ -63,6 +59,13 @@ NUMBERS = {  # arrays of numbers, and what one of them is
     "agent_rewards": "an agent's reward",
     "state": "a state",
 }
+
+
+class InputError(ValueError):
+    """The user asked for something that cannot be done, such as an unknown task. The message is one sentence.
+
+    It names an option as `max_episode_steps`; a script shows that as the flag --max-episode-steps.
+    """
 
 
 def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
@@ -133,16 +136,12 @@ class VectorEnv(GymnasiumVectorEnv):
     ) -> None:
         """low, high: the bounds of an observation's values. state_size: None if the state consists of the observations.
 
-        statistics: the names of the entries of `self.statistics`, none of TAKEN. teams: None if all agents belong to
-        one team. choices: None if each agent has n_actions actions.
+        statistics: the names of the entries of `self.statistics`. teams: None if all agents belong to one team.
+        choices: None if each agent has n_actions actions.
         """
         check_number(num_envs)
         if choices is not None and (len(choices) != n_agents or not 1 <= min(choices) <= max(choices) <= n_actions):
             raise ValueError(f"choices is {choices}; it must have a number from 1 to {n_actions} for each agent.")
-        if taken := sorted(set(statistics) & TAKEN):
-            raise ValueError(
-                f"{name}: no statistic can have the name {taken[0]!r}, which results of runs have already."
-            )
         self.name, self.num_envs, self.copy = name, num_envs, copy
         self.n_agents, self.n_actions, self.obs_size = n_agents, n_actions, obs_size
         self.state_size = n_agents * obs_size if state_size is None else state_size
@@ -432,15 +431,3 @@ class EpisodeTotals:
         for name, values in self.statistics.items():
             means[name] = np.nanmean(values) if np.isfinite(values).any() else np.nan
         return {name: float(value) for name, value in means.items()}
-
-
-def check_teams(env: VectorEnv, individual_rewards: bool, parameter_sharing: bool) -> None:
-    """Raises InputError where opposing teams would learn from one reward, or with one network."""
-    if len(set(env.teams)) > 1 and not (individual_rewards and not parameter_sharing):
-        raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
-
-
-def check_one_team(env: VectorEnv, reason: str) -> None:
-    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams."""
-    if len(set(env.teams)) > 1:
-        raise InputError(f"{env.name} has opposing teams: {reason}.")

@@ -477,6 +477,10 @@ class TestWrongInput:
         said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "matrix-climbing", f"--{flag}", value))
         assert f"--{flag} {value}" in said.replace(".0:", ":")
 
+    def test_an_option_of_the_environment_is_named_as_a_flag(self, monkeypatch, capsys):
+        said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "lbf-5x5-2p-1f", "--env-workers", "2"))
+        assert "--env-workers is for environments of PettingZoo" in said
+
     @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
     def test_no_cuda(self, monkeypatch, capsys):
         assert "CUDA" in self.one_sentence(self.refused(monkeypatch, capsys, "--device", "cuda"))

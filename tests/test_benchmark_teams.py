@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from scripts import NAMES, ROOT, envs, script
+from scripts import NAMES, ROOT, runs, script
 
 from campaign import teams
 
@@ -28,7 +28,7 @@ def test_a_team_plays_as_its_run_said(place):
     seed = int(np.random.SeedSequence([0, int(last["point"])]).generate_state(1)[0])
     team = module.load(place, seed)
     assert team.args.env.replace(":", "_") == place.name
-    returned = module.evaluate(envs.make_for(team.args, team.args.eval_episodes), team, seed)
+    returned = module.evaluate(runs.make_for(team.args, team.args.eval_episodes), team, seed)
     of_means = last["return_std"] * np.sqrt(2 / team.args.eval_episodes)  # standard deviation of their difference
     assert returned["return_mean"] == pytest.approx(last["return_mean"], abs=4 * of_means + 1e-3)
 
@@ -71,7 +71,7 @@ class TestKeeping:
         module = script("ia2c")
         args = module.paper_defaults("matrix-climbing")
         args.run_dir = str(tmp_path / "run")
-        env = envs.make_for(args, 1)
+        env = runs.make_for(args, 1)
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
         parts = {"agents": agents.state_dict(), "critic": agents.state_dict(), "optimiser": {}}
         directory = module.runs.RunDirectory(ROOT / "algos" / "ia2c.py", args, module.paper_defaults("matrix-climbing"))

@@ -21,7 +21,6 @@ from lbforaging.foraging import ForagingEnv
 from numpy.typing import NDArray
 
 import envs
-from envs import tasks
 from envs.families import lbf
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("lbf-*.npz"))
@@ -77,10 +76,6 @@ def board(env: lbf.Env, e: int) -> NDArray[np.int64]:
 # ---------------------------------------------------------------------------------------------------------------------
 # The rules
 # ---------------------------------------------------------------------------------------------------------------------
-
-
-def test_the_rules_try_as_many_places_as_names_allow_foods() -> None:
-    assert lbf.PLACES_TRIED == tasks.MOST_FOODS
 
 
 def test_all_seven_tasks_of_the_paper_are_recorded() -> None:

@@ -19,6 +19,7 @@ import psutil
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+import envs
 from envs import InputError, runs
 
 
@@ -50,6 +51,12 @@ def open_directory(path: Path, **flags: Any) -> runs.RunDirectory:
 
 
 class TestFlags:
+    def test_a_statistic_cannot_take_the_place_of_a_result(self, monkeypatch: Any) -> None:
+        args = SimpleNamespace(env="own", env_kwargs="", max_episode_steps=0, flatten_images=False, env_workers=0)
+        monkeypatch.setattr(envs, "make", lambda *_, **__: SimpleNamespace(name="own", statistics={"timestep": 0}))
+        with pytest.raises(InputError, match="no statistic can have the name 'timestep'"):
+            runs.make_for(args, 1)
+
     @pytest.mark.parametrize(
         "flag, value",
         [

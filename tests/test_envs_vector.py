@@ -167,23 +167,6 @@ def test_a_seed_of_numpy_is_one_too() -> None:
     assert env.seed == 4
 
 
-def test_a_statistic_cannot_take_the_place_of_a_result() -> None:
-    with pytest.raises(ValueError, match="no statistic can have the name 'timestep'"):
-        VectorEnv(
-            "own",
-            1,
-            0,
-            True,
-            n_agents=1,
-            n_actions=2,
-            obs_size=1,
-            episode_limit=1,
-            low=0,
-            high=1,
-            statistics=["won", "timestep"],
-        )
-
-
 def test_an_episode_does_not_draw_what_other_code_draws() -> None:
     """A loop whose own generator has the environment's seed, for actions: they must not follow from the start."""
     ours = episode_generator(7, 0, 0).random(5).tolist()

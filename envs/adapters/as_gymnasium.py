@@ -32,8 +32,8 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 from numpy.typing import NDArray
 
 import envs
-from envs.tasks import InputError, task_names
-from envs.vector import Info, VectorEnv
+from envs.tasks import task_names
+from envs.vector import Info, InputError, VectorEnv
 
 FRAMES_PER_SECOND = 5  # of videos, as in the films of `envs.render`
 

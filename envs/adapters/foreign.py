@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from envs import vector
 from envs.adapters.workers import Games
-from envs.tasks import InputError
+from envs.vector import InputError
 
 # Where environments keep the number of steps after which they end an episode
 CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")
@@ -115,7 +115,7 @@ class Game:
         self.own_clock = self.find_clock()
         self.clock = source.max_episode_steps or self.own_clock
         if not self.clock:
-            raise InputError(f"{self.name} says nowhere how long an episode lasts; --max-episode-steps does.")
+            raise InputError(f"{self.name} says nowhere how long an episode lasts; `max_episode_steps` does.")
         self.clock_is_guessed = not source.max_episode_steps
         self.steps = 0
         self.state_size = -1  # not known yet
@@ -165,7 +165,7 @@ class Game:
         images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and len(part.shape) > 1]
         if images and not self.flatten_images:
             what = f"observations of the shape {images[0]}, not vectors"
-            raise InputError(f"{self.name} has {what}; --flatten-images makes vectors of them.")
+            raise InputError(f"{self.name} has {what}; `flatten_images` makes vectors of them.")
         return space
 
     def outcome(
@@ -256,7 +256,7 @@ class Game:
         if self.clock_is_guessed:
             raise InputError(
                 f"{self.name} goes on after {self.clock} steps, which seemed to be its limit; "
-                "--max-episode-steps says how long an episode lasts."
+                "`max_episode_steps` says how long an episode lasts."
             )
 
 
@@ -500,7 +500,7 @@ def parse_kwargs(text: str) -> dict[str, Any]:
             return {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
     except (SyntaxError, ValueError):
         pass
-    raise InputError(f"--env-kwargs {text!r} is not like the arguments in a call, such as \"N=2, mode='easy'\".")
+    raise InputError(f"`env_kwargs` {text!r} is not like the arguments in a call, such as \"N=2, mode='easy'\".")
 
 
 INTERFACES: dict[str, type[Game]] = {"pettingzoo": ParallelGame, "gymnasium": TupleGame}

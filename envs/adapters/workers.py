@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.tasks import InputError
+from envs.vector import InputError
 
 HANGS = 2.0  # seconds after which a game that does not return is no longer waited for, but told to close
 PATIENCE = 8.0  # seconds that it then has to close

@@ -41,11 +41,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
+from envs.families import PLACES_TRIED
 from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
 
 EPISODE_LIMIT = 50
 NORTH, SOUTH, WEST, EAST, LOAD = 1, 2, 3, 4, 5
-PLACES_TRIED = 1000  # for the foods of an episode; `tasks.MOST_FOODS` is the same number
 
 # Colours of a frame
 APPLE, STALK, LEAF = (200, 45, 50), (110, 75, 45), (85, 140, 60)

@@ -70,8 +70,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import vector
+from envs.families import OPPONENTS
 from envs.families.kernels import WEYL, compiled, episode_state, forbidden_action, mix, random_below, wrapping
-from envs.tasks import OPPONENTS
 
 EPISODE_LIMIT = 25
 SPEAKER_LISTENER, SPREAD, ADVERSARY, TAG = range(4)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from envs import vector
 from envs.adapters.workers import Games
-from envs.tasks import InputError
+from envs.vector import InputError
 
 STATISTICS = ("battle_won", "dead_allies", "dead_enemies")
 GAME_BYTES = 2**30  # of memory, roughly
@@ -113,7 +113,7 @@ class Env(vector.VectorEnv):
         if num_envs > room:
             raise InputError(
                 f"{name}: {num_envs} games at once take a gigabyte of memory each, and {room} are free; "
-                "--eval-episodes and --num-envs say how many there are."
+                "`num_envs`, or in evaluations `eval_episodes`, says how many there are."
             )
         self._battles = Games(name, functools.partial(Battle, map_name), num_envs, n_workers=num_envs)
         self._started: dict[int, int] = {}  # of each game, the seed that it was started with

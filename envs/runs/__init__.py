@@ -2,7 +2,7 @@
 
 The scripts of algos/ call these in one line each, so that a reader of an algorithm need not read them:
 
-    flags        parse_flags
+    flags        parse_flags, make_for, check_teams, check_one_team
     directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
     replay       EpisodeFile
     log          Log: progress bar, TensorBoard, progress.json
@@ -22,7 +22,16 @@ from envs.runs.directory import (
     safe_name,
     write_whole,
 )
-from envs.runs.flags import OF_ONE_RUN, RANGES, changed_flags, check_flags, parse_flags
+from envs.runs.flags import (
+    OF_ONE_RUN,
+    RANGES,
+    changed_flags,
+    check_flags,
+    check_one_team,
+    check_teams,
+    make_for,
+    parse_flags,
+)
 from envs.runs.log import Log, in_words
 from envs.runs.process import (
     StopSignals,
@@ -33,6 +42,7 @@ from envs.runs.process import (
     provenance,
     say,
     script_hash,
+    with_flags,
 )
 from envs.runs.replay import EpisodeFile
 
@@ -46,12 +56,15 @@ __all__ = [
     "Stopwatch",
     "changed_flags",
     "check_flags",
+    "check_one_team",
+    "check_teams",
     "describe",
     "fitting_checkpoint",
     "in_words",
     "is_whole",
     "keep_freed_memory",
     "last_checkpoint",
+    "make_for",
     "one_sentence",
     "open_streams",
     "parse_flags",
@@ -61,5 +74,6 @@ __all__ = [
     "safe_name",
     "say",
     "script_hash",
+    "with_flags",
     "write_whole",
 ]

@@ -23,7 +23,7 @@ import filelock
 
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags
 from envs.runs.process import Stopwatch, provenance, say, script_hash
-from envs.tasks import InputError
+from envs.vector import InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
 OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")

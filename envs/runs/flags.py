@@ -1,4 +1,4 @@
-"""The flags of a script: reading them, checking them, and what differs from the defaults."""
+"""The flags of a script: reading and checking them, what differs from the defaults, the environment that they name."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import tyro
 
+import envs
 from envs.runs.process import flush_stdout
-from envs.tasks import InputError
+from envs.vector import InputError
 
 Flags = TypeVar("Flags")  # the Args of a script
 
@@ -22,6 +23,10 @@ OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images"}
 OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
 NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
+
+# Columns of evaluations.csv and of benchmark/results
+RESULT_COLUMNS = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"}
+RESULT_COLUMNS |= {"task", "family", "algorithm", "sharing", "setting", "seed", "total_timesteps", "paper_timesteps"}
 
 
 class Range(NamedTuple):
@@ -163,3 +168,38 @@ def show_help(args_class: type, default: Any, doc: str) -> None:
             paragraph = textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False)
         print(paragraph, end="\n\n")
     tyro.cli(args_class, args=["--help"], default=default, description="")
+
+
+def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) -> envs.VectorEnv:
+    """The environment that a script's flags name, with copy=False.
+
+    Raises InputError as `envs.make` does, and for a statistic that evaluations.csv could not show.
+    """
+    env = envs.make(
+        args.env,
+        num_envs,
+        seed,
+        copy=False,
+        env_kwargs=args.env_kwargs,
+        max_episode_steps=args.max_episode_steps,
+        flatten_images=args.flatten_images,
+        env_workers=args.env_workers,
+        pictures=pictures,
+    )
+    if taken := sorted(RESULT_COLUMNS & set(env.statistics)):
+        raise InputError(
+            f"{env.name}: no statistic can have the name {taken[0]!r}, which results of runs have already."
+        )
+    return env
+
+
+def check_teams(env: envs.VectorEnv, individual_rewards: bool, parameter_sharing: bool) -> None:
+    """Raises InputError where opposing teams would learn from one reward, or with one network."""
+    if len(set(env.teams)) > 1 and not (individual_rewards and not parameter_sharing):
+        raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
+
+
+def check_one_team(env: envs.VectorEnv, reason: str) -> None:
+    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams."""
+    if len(set(env.teams)) > 1:
+        raise InputError(f"{env.name} has opposing teams: {reason}.")

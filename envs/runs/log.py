@@ -19,7 +19,7 @@ from tqdm import tqdm
 from envs import optional
 from envs.runs.directory import naming, write_whole
 from envs.runs.process import say
-from envs.tasks import InputError
+from envs.vector import InputError
 
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json
 LINE_SECONDS = 10.0, 300.0  # without a terminal, between two lines: at first, and at most, since it doubles

@@ -21,7 +21,7 @@ from typing import Any
 from tqdm import tqdm
 
 from envs import fast_mkl
-from envs.tasks import InputError
+from envs.vector import InputError
 
 ECHO_SECONDS = 3.0  # within which a signal is the same one again
 
@@ -115,6 +115,11 @@ class StopSignals:
         sys.exit(128 + (self.received or 0))
 
 
+def with_flags(sentence: str) -> str:
+    """A sentence of `envs` for the command line: `env_kwargs` becomes --env-kwargs."""
+    return re.sub("`([a-z]+_[a-z_]+)`", lambda option: "--" + option[1].replace("_", "-"), sentence)
+
+
 @contextlib.contextmanager
 def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
@@ -127,7 +132,7 @@ def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
         yield
         flush_stdout()
     except (InputError, OSError, MemoryError) as error:
-        say(f"{Path(script).stem}: {str(error) or 'there is not enough memory.'}")
+        say(f"{Path(script).stem}: {with_flags(str(error)) or 'there is not enough memory.'}")
         if isinstance(error, BrokenPipeError):
             flush_stdout()
         sys.exit(2)

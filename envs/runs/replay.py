@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from envs.runs.directory import naming
 from envs.runs.process import say
-from envs.tasks import InputError
+from envs.vector import InputError
 
 
 class EpisodeFile:
