@@ -405,56 +405,26 @@ def observe_env(state, config, e):
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# The loops take the fields of State and Config one by one: a NamedTuple costs microseconds at the border to Python.
+# The loops take State and Config as plain tuples, as in lbf.py.
 # ---------------------------------------------------------------------------------------------------------------------
 
 
 @compiled
-def reset_all(
-    random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-    opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
-    observations, agent_rewards, rewards, truncated,
-    scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
-    velocity_first, direction, squared, summed, self_contact, share,
-    mask, seed, episodes,
-):  # fmt: skip
-    state = State(
-        random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-        opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
-        observations, agent_rewards, rewards, truncated,
-    )  # fmt: skip
-    config = Config(
-        scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius,
-        landmark_range, velocity_first, direction, squared, summed, self_contact, share,
-    )  # fmt: skip
+def reset_all(arrays, numbers, mask, seed, episodes):
+    state, config = State(*arrays), Config(*numbers)
     for e in range(len(mask)):
         if mask[e]:
-            random[e] = episode_state(seed, e, episodes[e])
+            state.random[e] = episode_state(seed, e, episodes[e])
             reset_env(state, config, e)
             observe_env(state, config, e)
 
 
 @compiled
-def step_all(
-    random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-    opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
-    observations, agent_rewards, rewards, truncated,
-    scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius, landmark_range,
-    velocity_first, direction, squared, summed, self_contact, share,
-    action_mask, actions, playing,
-):  # fmt: skip
+def step_all(arrays, numbers, action_mask, actions, playing):
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
         return refused
-    state = State(
-        random, steps, score, agent_position, agent_velocity, landmark_position, goal, symbol, force, own_rewards,
-        opponent_action, views, contacts, occupied_landmarks, goal_distance, adversary_distance,
-        observations, agent_rewards, rewards, truncated,
-    )  # fmt: skip
-    config = Config(
-        scenario, opponent, first, team_first, team_size, radius, acceleration, top_speed, landmark_radius,
-        landmark_range, velocity_first, direction, squared, summed, self_contact, share,
-    )  # fmt: skip
+    state, config = State(*arrays), Config(*numbers)
     for e in range(len(playing)):
         if playing[e]:
             act_env(state, config, e, actions)
@@ -691,7 +661,7 @@ class Env(vector.VectorEnv):
             **(PAPER if paper else MPE2),
         )
         self._team_of = game.teams
-        self._arguments = (*self.game, *self.config)
+        self._arguments = (tuple(self.game), tuple(self.config))
         self._step_arguments = (*self._arguments, self.action_mask)
 
         if not all_learn:

@@ -319,43 +319,25 @@ def observe_env(state, config, e):
                 k += 1
 
 
-# The loops take the fields of State and Config one by one: a NamedTuple costs microseconds at the border to Python.
+# The loops take State and Config as plain tuples, as in lbf.py.
 
 
 @compiled
-def reset_all(
-    random, steps, agent, shelf, cell, sensed, plan,
-    observations, agent_rewards, rewards, truncated, deliveries, collisions,
-    rows, columns, n_requests, sight,
-    mask, seed, episodes,
-):  # fmt: skip
-    state = State(
-        random, steps, agent, shelf, cell, sensed, plan,
-        observations, agent_rewards, rewards, truncated, deliveries, collisions,
-    )  # fmt: skip
-    config = Config(rows, columns, n_requests, sight)
+def reset_all(arrays, numbers, mask, seed, episodes):
+    state, config = State(*arrays), Config(*numbers)
     for e in range(len(mask)):
         if mask[e]:
-            random[e] = episode_state(seed, e, episodes[e])
+            state.random[e] = episode_state(seed, e, episodes[e])
             reset_env(state, config, e)
             observe_env(state, config, e)
 
 
 @compiled
-def step_all(
-    random, steps, agent, shelf, cell, sensed, plan,
-    observations, agent_rewards, rewards, truncated, deliveries, collisions,
-    rows, columns, n_requests, sight,
-    action_mask, actions, playing,
-):  # fmt: skip
+def step_all(arrays, numbers, action_mask, actions, playing):
     refused = forbidden_action(actions, action_mask)
     if refused >= 0:
         return refused
-    state = State(
-        random, steps, agent, shelf, cell, sensed, plan,
-        observations, agent_rewards, rewards, truncated, deliveries, collisions,
-    )  # fmt: skip
-    config = Config(rows, columns, n_requests, sight)
+    state, config = State(*arrays), Config(*numbers)
     for e in range(len(playing)):
         if playing[e]:
             step_env(state, config, e, actions)
@@ -414,7 +396,7 @@ class Env(vector.VectorEnv):
             collisions=self.statistics["collisions"],
         )
         self.config = Config(rows, columns, n_requests, sight)
-        self._arguments = (*self.game, *self.config)
+        self._arguments = (tuple(self.game), tuple(self.config))
         self._step_arguments = (*self._arguments, self.action_mask)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
