@@ -68,7 +68,7 @@ def test_registering_again_changes_nothing(recwarn: pytest.WarningsRecorder) -> 
         ({"task": "lbf-5x5"}, "unknown task 'lbf-5x5'"),
         ({"autoreset_mode": "NextYear"}, "autoreset_mode is 'NextYear'; the modes are NextStep, SameStep, Disabled"),
         ({"render_mode": "human"}, "render_mode is 'human'; it must be 'rgb_array' or None"),
-        ({"render_mode": "rgb_array", "task": "matrix-climbing"}, "matrix-climbing has no pictures"),
+        ({"render_mode": "rgb_array", "task": "own:examples.meeting_numpy"}, "meeting_numpy has no pictures"),
     ],
 )
 def test_wrong_options(options: dict[str, Any], message: str) -> None:

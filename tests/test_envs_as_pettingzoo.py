@@ -189,7 +189,7 @@ def test_pictures() -> None:
         5,
     )
     assert envs.pettingzoo_env(LBF).render() is None
-    assert envs.pettingzoo_env("matrix-climbing").metadata["render_modes"] == []
+    assert envs.pettingzoo_env("own:examples.meeting_numpy").metadata["render_modes"] == []
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_pictures() -> None:
     [
         ("lbf-5x5", None, "unknown task 'lbf-5x5'"),
         (LBF, "human", "render_mode is 'human'; it must be 'rgb_array' or None"),
-        ("matrix-climbing", "rgb_array", "matrix-climbing has no pictures"),
+        ("own:examples.meeting_numpy", "rgb_array", "meeting_numpy has no pictures"),
     ],
 )
 def test_wrong_input(name: str, render_mode: str | None, message: str) -> None:

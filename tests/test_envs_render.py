@@ -20,6 +20,7 @@ def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
 
 
 DRAWN = (
+    "matrix-penalty-25",
     "lbf-5x5-2p-1f",
     "lbf-6x9-3p-2f-2s",
     "lbf-20x20-9p-5f-c-v3",
