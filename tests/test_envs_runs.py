@@ -363,6 +363,22 @@ class TestTensorBoard:
         log.close()
         assert self.points(tmp_path, "loss/critic") == [(12, 12), (20, 20)]  # the first at or after each ten
 
+    @pytest.mark.parametrize(
+        "env, own, results, hint",
+        [
+            ("pettingzoo:pettingzoo.classic.rps_v2", False, (0.0, 0.0), True),
+            ("pettingzoo:pettingzoo.classic.rps_v2", True, (0.0, 0.0), False),
+            ("pettingzoo:pettingzoo.classic.rps_v2", False, (0.0, 1.0), False),
+            ("rware-tiny-2p", False, (0.0, 0.0), False),
+        ],
+    )
+    def test_rewards_that_cancel_out(self, tmp_path: Path, capsys: Any, env: str, own: bool, results: Any, hint: bool):
+        args = SimpleNamespace(env=env, individual_rewards=own, total_timesteps=10, track=False)
+        log = runs.Log(tmp_path, args, 0, False)
+        log.evaluation(0, dict(zip(("return_mean", "return_std"), results)))
+        log.close()
+        assert ("--individual-rewards" in capsys.readouterr().err) == hint
+
 
 class TestCommit:
     """The commit in config.json."""

@@ -48,6 +48,7 @@ class Log:
                 raise InputError(f"--track: {error}") from error
         write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
+        self.sums_rewards = args.env.startswith("pettingzoo:") and not args.individual_rewards
         self.begun_at = self.timestep = timestep
         self.started = self.shown = self.said = time.monotonic()
         self.pause = LINE_SECONDS[0]
@@ -65,6 +66,11 @@ class Log:
         self._write({f"evaluation/{name}": value for name, value in results.items()}, timestep)
         self.said = time.monotonic()
         say(f"step {timestep:,}: {in_words(results)}")
+        if timestep == 0 and self.sums_rewards and results["return_mean"] == results["return_std"] == 0:
+            say(
+                "All returns are 0. Where the agents' rewards cancel out, as in a game of two opponents, "
+                "--individual-rewards (of all scripts but COMA, VDN and QMIX) lets each agent learn from its own."
+            )
 
     def batch(
         self, timestep: int, returns: Sequence[float], lengths: Sequence[float], metrics: Mapping[str, Any]

@@ -15,6 +15,7 @@ WALL, GRAVE = (190, 186, 176), (170, 168, 162)
 ALLY, ENEMY = (31, 105, 180), (200, 70, 30)
 SHOT, BEAM = {ALLY: (120, 175, 230), ENEMY: (240, 150, 100)}, (60, 165, 85)
 HEALTH, SHIELD = (60, 165, 85), (90, 150, 230)
+AROUND = 3  # cells that a frame shows around the units
 LETTERS = {
     "stalker": "S",
     "zealot": "Z",
@@ -145,11 +146,20 @@ class Env(vector.VectorEnv):
         """
         from envs import render  # Pillow is needed only where something is drawn
 
+        units = self.game.unit[index]
         rows, columns = np.nonzero(self.game.walkable)
-        bottom, top = max(rows.min() - 1, 0), min(rows.max() + 2, SIZE)
-        left, right = max(columns.min() - 1, 0), min(columns.max() + 2, SIZE)
-        cell, margin, caption = 640 // max(top - bottom, right - left), 10, 34
-        width, height = (right - left) * cell, (top - bottom) * cell
+        corner = np.maximum([columns.min() - 1, rows.min() - 1], 0)
+        map_size = np.minimum([columns.max() + 2, rows.max() + 2], SIZE) - corner
+        width, height = map_size * (640 // map_size.max())  # in pixels
+        # The picture shows the part of the map where units are, dead ones too. It grows in eighths of the map and moves
+        # by two cells at once, so that it mostly stands still.
+        places = np.stack([units.x, units.y], axis=1)
+        needed = (np.ptp(places, axis=0) + 2 * AROUND) / map_size
+        view_size = map_size * min(np.ceil(8 * needed.max()) / 8, 1)
+        wanted = (places.min(axis=0) + places.max(axis=0) - view_size) / 2
+        left, bottom = np.clip(2 * np.round(wanted / 2), corner, corner + map_size - view_size)
+        top = bottom + view_size[1]
+        cell, margin, caption = width / view_size[0], 10, 34
         canvas = render.Canvas(width + 2 * margin, height + margin + caption)
 
         def place(x: float, y: float) -> tuple[float, float]:
@@ -159,13 +169,19 @@ class Env(vector.VectorEnv):
             points = [place(*corner) for corner in corners]
             canvas.pen.polygon([(x * render.DETAIL, y * render.DETAIL) for x, y in points], fill=colour)
 
+        for wall in self.walls:
+            polygon(wall, WALL)
+        for frame in (  # what lies outside the part that is shown
+            [(0, 0), (width + 2 * margin, caption)],
+            [(0, 0), (margin, height + caption + margin)],
+            [(width + margin, 0), (width + 2 * margin, height + caption + margin)],
+            [(0, height + caption), (width + 2 * margin, height + caption + margin)],
+        ):
+            canvas.pen.rectangle([(x * render.DETAIL, y * render.DETAIL) for x, y in frame], fill=render.PAPER)
         canvas.text(margin, caption / 2, f"step {self.game.steps[index]} / {self.episode_limit}", 15, anchor="lm")
         canvas.text(margin + width / 2, caption / 2, self.name, 15)
         canvas.text(margin + width, caption / 2, f"return {self.game.score[index]:.2f}", 15, anchor="rm")
-        for wall in self.walls:
-            polygon([(min(max(x, left), right), min(max(y, bottom), top)) for x, y in wall], WALL)
 
-        units = self.game.unit[index]
         places = [place(unit.x, unit.y) for unit in units]
         colours = [ALLY] * self.n_agents + [ENEMY] * (len(units) - self.n_agents)
         for unit, (x, y) in zip(units, places):
