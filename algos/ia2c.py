@@ -89,7 +89,7 @@ class Args:
     # run
     device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
     threads: int = 1  # CPU threads of PyTorch
-    run_dir: str = ""  # where the run is kept (default: runs/<task>/<algorithm>-.../seed<seed>)
+    run_dir: str = ""  # where the run is kept; empty: runs/<task>/<algorithm>-.../seed<seed>
     resume: bool = False  # go on from the last checkpoint, if there is one
     watch: str = ""  # play and film the team of this run directory instead of training
     track: bool = False  # follow the run in Weights & Biases

@@ -9,7 +9,7 @@ The scripts of algos/ call these in one line each, so that a reader of an algori
     process      StopSignals, one_sentence
 """
 
-from __future__ import annotations
+# ruff: noqa: F401 (these are the names for the scripts)
 
 from envs.runs.directory import (
     RunDirectory,
@@ -45,35 +45,3 @@ from envs.runs.process import (
     with_flags,
 )
 from envs.runs.replay import EpisodeFile
-
-__all__ = [
-    "OF_ONE_RUN",
-    "RANGES",
-    "EpisodeFile",
-    "Log",
-    "RunDirectory",
-    "StopSignals",
-    "Stopwatch",
-    "changed_flags",
-    "check_flags",
-    "check_one_team",
-    "check_teams",
-    "describe",
-    "fitting_checkpoint",
-    "in_words",
-    "is_whole",
-    "keep_freed_memory",
-    "last_checkpoint",
-    "make_for",
-    "one_sentence",
-    "open_streams",
-    "parse_flags",
-    "provenance",
-    "read_checkpoint",
-    "run_path",
-    "safe_name",
-    "say",
-    "script_hash",
-    "with_flags",
-    "write_whole",
-]
