@@ -153,10 +153,10 @@ class Env(vector.VectorEnv):
         width, height = map_size * (640 // map_size.max())  # in pixels
         # The picture shows the part of the map where units are, dead ones too. It grows in eighths of the map and moves
         # by two cells at once, so that it mostly stands still.
-        places = np.stack([units.x, units.y], axis=1)
-        needed = (np.ptp(places, axis=0) + 2 * AROUND) / map_size
+        spots = np.stack([units.x, units.y], axis=1)
+        needed = (np.ptp(spots, axis=0) + 2 * AROUND) / map_size
         view_size = map_size * min(np.ceil(8 * needed.max()) / 8, 1)
-        wanted = (places.min(axis=0) + places.max(axis=0) - view_size) / 2
+        wanted = (spots.min(axis=0) + spots.max(axis=0) - view_size) / 2
         left, bottom = np.clip(2 * np.round(wanted / 2), corner, corner + map_size - view_size)
         top = bottom + view_size[1]
         cell, margin, caption = width / view_size[0], 10, 34
