@@ -3,6 +3,7 @@
 import functools
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from filelock import FileLock
 from scripts import ROOT
@@ -27,6 +29,7 @@ sys.path.insert(0, str(DOCS / "extensions"))
 import algorithm_pages  # noqa: E402
 import observations  # noqa: E402
 import plain_text  # noqa: E402
+import results_data  # noqa: E402
 import script  # noqa: E402
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -94,6 +97,32 @@ def test_as_many_formulas_in_latex_as_in_the_docstring(name):
     plain = "\n".join(block.text for block in blocks if block.kind == "verbatim")
     formulas = re.findall(r"\$\$(.+?)\$\$", algorithm_pages.read_remarks(name).sections["Formulas"], re.DOTALL)
     assert len(formulas) >= len(re.findall(r"^\S.{0,12} = ", plain, re.MULTILINE)) > 0
+
+
+@pytest.mark.parametrize("name", script.ALGORITHMS)
+def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
+    runs = pd.read_csv(DOCS / "data" / "runs.csv", keep_default_na=False)
+    recorded = [f"python algos/{name}.py {flags}" for flags in runs[runs["algorithm"] == name]["flags"]]
+    commands = [line for line in algorithm_pages.commands(name) if not line.startswith("#")]
+    assert len(commands) > 7 and len(recorded) == 2
+    for command in commands + recorded:
+        words = shlex.split(command)
+        assert words[0] == "python" and (ROOT / words[1]).exists()
+        if words[1].startswith("algos"):
+            flags = {word[2:].removeprefix("no-").replace("-", "_") for word in words if word.startswith("--")}
+            assert flags <= {*script.read(name).flags, "help"}, command
+            if "--env" in words:
+                envs.task(words[words.index("--env") + 1])
+
+
+def test_the_command_of_a_result_names_its_runs():
+    changed = {"total_timesteps": 3000000}
+    command = results_data.campaign("ia2c", "lbf-8x8-2p-2f-c", False, changed, 1)
+    plan, dashes, flags = command.partition(" -- ")
+    words = [sys.executable, *shlex.split(f"{plan} --dry-run{dashes}{flags}")[1:]]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "ia2c" in done.stdout + done.stderr
 
 
 def test_films_are_small_enough():

@@ -130,7 +130,7 @@ def hyperparameters(known: script.Script) -> str:
         for i, flag in enumerate(names):
             values = [f"{paper[family, sharing][i]}" for family in families]
             rows.append(f"| `--{flag.replace('_', '-')}` | " + " | ".join(values) + f" | {known.flags[flag][1]} |")
-        parts.append("\n".join(rows))
+        parts.append("\n".join([":::{container} hyperparameters", *rows, ":::"]))
     return "\n\n".join(parts)
 
 

@@ -41,6 +41,8 @@ def parse(text: str) -> list[Block]:
             number = next(ends, len(lines))
             found += indented(lines[:number]) if inside else paragraphs(lines[:number])
             lines = lines[number:]
+    if found and found[0].lead[:1].isupper():
+        found[0] = Block("paragraph", f"{found[0].lead}: {found[0].text}")
     return found
 
 

@@ -3,7 +3,7 @@
   const { tasks, algorithms, cells, specification } = window.explorerData;
   const place = document.getElementById("explorer");
   const state = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-  state.task = tasks.some(({ name }) => name === state.task) ? state.task : "matrix-climbing";
+  state.task = tasks.some(({ name }) => name === state.task) ? state.task : "lbf-8x8-2p-2f-c"; // the first on which all nine were run
   state.sharing = ["shared", "independent"].includes(state.sharing) ? state.sharing : "shared";
   const ticked = new Set(state.algorithms ? state.algorithms.split(",") : algorithms.map(({ name }) => name));
 
