@@ -125,6 +125,12 @@ def test_the_command_of_a_result_names_its_runs():
     assert "ia2c" in done.stdout + done.stderr
 
 
+def test_recorded_runs_are_there_for_each_algorithm():
+    for name in script.ALGORITHMS:
+        for health in ("healthy", "sick"):
+            assert (DOCS / "data" / f"{name}-{health}.csv").stat().st_size > 1000
+
+
 def test_films_are_small_enough():
     films = list((DOCS / "films").glob("*.webp"))
     assert films and all(film.stat().st_size < LARGEST_FILM for film in films)
