@@ -97,9 +97,9 @@ def curves_chart(height: int, legend: Literal["right", "bottom"] | None, bands: 
             **opacity(0.8),
         )
     )
-    layers = alt.layer(*([band] if bands else []), line, paper, points)
     if legend:
-        layers = layers.add_params(chosen)
+        line = line.add_params(chosen)
+    layers = alt.layer(*([band] if bands else []), line, paper, points)
     return specification(layers.properties(width="container", height=height))
 
 
