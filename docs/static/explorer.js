@@ -79,6 +79,7 @@
     const shown = algorithms.filter(({ name }) => chosen.some((cell) => cell.algorithm === name));
     for (const { encoding } of own.layer) {
       encoding.color.scale = { domain: shown.map(({ name }) => name.toUpperCase()), range: shown.map(({ colour }) => colour) };
+      if (place.clientWidth < 600) Object.assign(encoding.color.legend, { orient: "bottom", columns: 3 });
     }
     drawing.hidden = chosen.length === 0;
     if (chosen.length) await window.charts.draw(drawing, JSON.stringify(own), { curves, paper });
