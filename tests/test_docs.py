@@ -27,6 +27,7 @@ DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "extensions"))
 
 import algorithm_pages  # noqa: E402
+import environment_pages  # noqa: E402
 import observations  # noqa: E402
 import plain_text  # noqa: E402
 import results_data  # noqa: E402
@@ -132,8 +133,9 @@ def test_recorded_runs_are_there_for_each_algorithm():
 
 
 def test_films_are_small_enough():
-    films = list((DOCS / "films").glob("*.webp"))
-    assert films and all(film.stat().st_size < LARGEST_FILM for film in films)
+    films = {film.name: film.stat().st_size for film in (DOCS / "films").glob("*.webp")}
+    assert films and max(films.values()) < LARGEST_FILM
+    assert sorted(films) == [film["film"] for film in environment_pages.films()]
 
 
 def test_a_docstring_becomes_paragraphs_and_tables():

@@ -157,7 +157,7 @@ class Film(SphinxDirective):
             text = f"There is no film of {name.removeprefix(':')} yet."
             return [nodes.paragraph(text, text)]
         root = "../" * self.env.docname.count("/")
-        film = own[-1]
+        film = max(own, key=lambda film: int(film["timesteps"]))
         caption = (
             f"{film['algorithm'].upper()} on <code>{film['task']}</code> after {int(film['timesteps']):,} timesteps; "
             f"mean return of its last evaluation {float(film['return_mean']):.2f}"
