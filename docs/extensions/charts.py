@@ -1,13 +1,12 @@
 """Charts: specifications of Vega-Lite, made with Altair, which static/charts.js draws when they come into view.
 
-Altair makes and checks each kind of chart once; its data and colours are filled in where it is used.
+Altair makes and checks each kind of chart once. A page has only the data and colours of its charts; static/charts.js
+puts the two together.
 """
 
-import copy
 import html
 import json
 from collections.abc import Iterable
-from functools import lru_cache
 from typing import Any, Literal
 
 import altair as alt
@@ -22,9 +21,9 @@ SHORT_STEPS = (
 )
 
 
-def figure(specification: dict, caption: str, described: str) -> str:
-    """A chart in HTML. caption: HTML; described: what those hear who cannot see it."""
-    text = json.dumps(specification, separators=(",", ":")).replace("</", "<\\/")
+def figure(chart: dict, caption: str, described: str) -> str:
+    """A chart in HTML: its kind and data. caption: HTML; described: what those hear who cannot see it."""
+    text = json.dumps(chart, separators=(",", ":")).replace("</", "<\\/")
     return (
         f'<figure class="chart"><figcaption>{caption}</figcaption>'
         f'<div class="drawing" role="img" aria-label="{html.escape(described)}"></div>'
@@ -52,13 +51,12 @@ def steps_axis() -> alt.X:
     return alt.X("t:Q", title="timesteps", axis=alt.Axis(labelExpr=SHORT_STEPS, tickCount=5, grid=False))
 
 
-@lru_cache
-def curves_chart(height: int, legend: Literal["right", "bottom"] | None, bands: bool = True) -> dict:
+def curves_chart(height: int, legend: Literal["right", "bottom"] | None) -> dict:
     """Learning curves with intervals, the paper's maximum returns as rules; data and colours are still missing.
 
     Data: "curves" with a algorithm, t timestep, m mean, l and h the ends of the interval, n seeds; "paper" with a and
     p, the paper's maximum return. With a legend, a click on it leaves one algorithm visible; with shift it adds one.
-    legend: where it stands. bands: whether there are intervals.
+    The first layer has the intervals; charts.js leaves it out where there are none.
     """
     chosen = alt.selection_point(fields=["a"], bind="legend", name="chosen", toggle="event.shiftKey")
     symbols: dict[str, Any] = {"symbolStrokeWidth": 3, "symbolType": "stroke", "symbolSize": 200, "symbolOpacity": 1}
@@ -79,11 +77,8 @@ def curves_chart(height: int, legend: Literal["right", "bottom"] | None, bands: 
             alt.Tooltip("a:N", title="algorithm"),
             alt.Tooltip("t:Q", title="timesteps", format=","),
             alt.Tooltip("m:Q", title="return", format=".3~f"),
-            *(
-                [alt.Tooltip("l:Q", title="from", format=".3~f"), alt.Tooltip("h:Q", title="to", format=".3~f")]
-                if bands
-                else []
-            ),
+            alt.Tooltip("l:Q", title="from", format=".3~f"),
+            alt.Tooltip("h:Q", title="to", format=".3~f"),
             alt.Tooltip("n:Q", title="seeds"),
         ],
     )
@@ -99,8 +94,17 @@ def curves_chart(height: int, legend: Literal["right", "bottom"] | None, bands: 
     )
     if legend:
         line = line.add_params(chosen)
-    layers = alt.layer(*([band] if bands else []), line, paper, points)
+    layers = alt.layer(band, line, paper, points)
     return specification(layers.properties(width="container", height=height))
+
+
+def curve(algorithm: str, table: pd.DataFrame) -> dict:
+    """One learning curve: a algorithm, n seeds, and by point t timestep, m mean, i interval."""
+    found = {"a": algorithm.upper(), "n": int(table["seeds"].max()), "t": [round(value) for value in table["timestep"]]}
+    found["m"] = [rounded(value) for value in table["mean"]]
+    if table["interval"].notna().any():
+        found["i"] = [rounded(value) for value in table["interval"]]
+    return found
 
 
 def learning_curves(task: str, sharing: bool, algorithms: Iterable[str], legend: bool = False) -> dict | None:
@@ -108,31 +112,21 @@ def learning_curves(task: str, sharing: bool, algorithms: Iterable[str], legend:
     table = results_data.curves()
     table = table[(table["task"] == task) & (table["sharing"] == sharing)]
     measured = [name for name in algorithms if name in set(table["algorithm"])]
-    table = table[table["algorithm"].isin(measured)]
-    if table.empty:
+    if not measured:
         return None
-    made = copy.deepcopy(curves_chart(150, "bottom" if legend else None, bool(table["interval"].notna().any())))
-    for layer in made["layer"]:
-        layer["encoding"]["color"]["scale"] = {
-            "domain": [name.upper() for name in measured],
-            "range": [results_data.colour(name) for name in measured],
-        }
-    rows = []
-    for row in table.itertuples():
-        values = {"a": row.algorithm.upper(), "t": round(row.timestep), "m": rounded(row.mean), "n": row.seeds}
-        if not pd.isna(row.interval):
-            values |= {"l": rounded(row.mean - row.interval), "h": rounded(row.mean + row.interval)}
-        rows.append(values)
     maxima = results_data.paper_values("max_return")
-    papers = [
-        {"a": name.upper(), "p": rounded(maxima[task, name, sharing][0])}
-        for name in measured
-        if (task, name, sharing) in maxima
-    ]
-    return made | {"datasets": {"curves": rows, "paper": papers}}
+    return {
+        "kind": "curves-with-legend" if legend else "curves",
+        "colours": {name.upper(): results_data.colour(name) for name in measured},
+        "curves": [curve(name, table[table["algorithm"] == name]) for name in measured],
+        "paper": [
+            {"a": name.upper(), "p": rounded(maxima[task, name, sharing][0])}
+            for name in measured
+            if (task, name, sharing) in maxima
+        ],
+    }
 
 
-@lru_cache
 def scalar_chart() -> dict:
     """One of TensorBoard's curves, still without data."""
     chart = (
@@ -152,5 +146,14 @@ def scalar_chart() -> dict:
 
 def scalar(table: pd.DataFrame) -> dict:
     """One of TensorBoard's curves: columns timestep and value."""
-    values = [{"t": int(row.timestep), "v": rounded(row.value)} for row in table.itertuples()]
-    return copy.deepcopy(scalar_chart()) | {"datasets": {"scalar": values}}
+    return {"kind": "scalar", "t": table["timestep"].tolist(), "v": [rounded(value) for value in table["value"]]}
+
+
+def kinds() -> dict[str, dict]:
+    """The specifications of all kinds of charts, without data."""
+    return {
+        "curves": curves_chart(150, None),
+        "curves-with-legend": curves_chart(150, "bottom"),
+        "explorer": curves_chart(380, "right"),
+        "scalar": scalar_chart(),
+    }

@@ -41,8 +41,8 @@ def text_of_cell(cell: Any, anchor: str, root: str) -> str:
     number = results_data.number(cell.value, cell.interval)
     path, _ = results_data.tables_of_results()[cell.task, cell.algorithm, cell.sharing]
     best = ' class="best"' if cell.mark == "best" else ""
-    ours = f'<a{best} href="{root}{csv_name(path)}" title="the evaluations of all seeds, as CSV">{number}</a>{signs}'
-    command = f'<a class="command" href="{anchor}" title="the command that makes it">$</a>'
+    ours = f'<a{best} href="{root}{csv_name(path)}">{number}</a>{signs}'
+    command = f'<a class="command" href="{anchor}">$</a>'
     theirs = ""
     if not pd.isna(cell.paper_mean):
         theirs = f'<span class="paper">{results_data.number(cell.paper_mean, cell.paper_interval)}</span>'
@@ -279,46 +279,35 @@ class Explorer(Directive):
         return [raw('<div id="explorer"><noscript>The explorer needs JavaScript.</noscript></div>')]
 
 
-def explorer_data() -> dict:
-    """What static/explorer.js shows: for each cell the curve and the paper's maximum, and the chart's specification."""
+def write_data(static: Path) -> None:
+    """The kinds of charts, and what static/explorer.js shows: all tasks and algorithms, and a file for each task."""
     curves = results_data.curves()
-    maxima = results_data.paper_values("max_return")
-    cells = []
-    for (task, name, shared), table in curves.groupby(["task", "algorithm", "sharing"]):
-        paper = maxima.get((task, name, shared))
-        cells.append(
-            {
-                "task": task,
-                "algorithm": name,
-                "sharing": "shared" if shared else "independent",
-                "seeds": int(table["seeds"].max()),
-                "t": [round(value) for value in table["timestep"]],
-                "m": [charts.rounded(value) for value in table["mean"]],
-                "i": [charts.rounded(value) for value in table["interval"]],
-                "paper": None if paper is None else charts.rounded(paper[0]),
-            }
-        )
     tasks = results_data.tables.in_order(curves["task"])
-    return {
-        "tasks": [
-            {"name": task, "family": results_data.FAMILIES.get(results_data.family(task), "Other tasks")}
-            for task in tasks
-        ],
-        "algorithms": [{"name": name, "colour": results_data.colour(name)} for name in algorithms()],
-        "cells": cells,
-        "specification": charts.curves_chart(380, "right"),
-    }
+    families = {task: results_data.FAMILIES.get(results_data.family(task), "Other tasks") for task in tasks}
+    write_script(static / "chart-kinds.js", "window.chartKinds", charts.kinds())
+    overview = {"families": families, "algorithms": algorithms()}
+    write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
+    (static / "explorer").mkdir(exist_ok=True)
+    for task in tasks:
+        shown = {
+            name: charts.learning_curves(task, value, algorithms()) for name, value in results_data.SHARING.items()
+        }
+        write_script(static / "explorer" / f"{task}.js", f"window.explorerTasks[{json.dumps(task)}]", shown)
+
+
+def write_script(file: Path, name: str, value: Any) -> None:
+    """A script that gives a variable its value: browsers do not fetch JSON from file://."""
+    file.write_text(f"{name} = {json.dumps(value, separators=(',', ':'))};\n", encoding="utf-8")
 
 
 def write_files(app: Sphinx, error: Exception | None) -> None:
-    """Puts Vega's scripts, the explorer's data, results and films into the site."""
+    """Puts Vega's scripts, the charts' data, results and films into the site."""
     if error is not None or app.builder.format != "html":
         return
     static = Path(app.outdir, "_static")
     vega = vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;")
     (static / "vega.js").write_text(f"(() => {{\n{vega}\n}})();\n", encoding="utf-8")
-    data = json.dumps(explorer_data(), separators=(",", ":"))
-    (static / "explorer-data.js").write_text(f"window.explorerData={data};\n", encoding="utf-8")
+    write_data(static)
     for path, _ in results_data.tables_of_results().values():
         folder = Path(app.outdir, "results", path.parent.name)
         folder.mkdir(parents=True, exist_ok=True)

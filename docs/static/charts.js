@@ -3,7 +3,6 @@
   const folder = document.currentScript.src.replace(/charts\.js.*$/, "");
   // Colours that are too dark on a dark page, and those that stand for them there.
   const onDark = { "#332288": "#9a8cf0", "#882255": "#e0659f", "#117733": "#45b36b", "#AA4499": "#d07fc4", "#999933": "#b8b850", "#666666": "#aaaaaa" };
-  let vega = null;
 
   const isDark = () => {
     const theme = document.body.dataset.theme;
@@ -26,28 +25,48 @@
   const coloured = (text) =>
     isDark() ? text.replace(/#[0-9A-Fa-f]{6}/g, (colour) => onDark[colour] ?? colour) : text;
 
-  const load = () => {
-    vega ??= new Promise((resolve) => {
+  const loaded = {};
+  // Runs a script of this folder, once.
+  const load = (name) =>
+    (loaded[name] ??= new Promise((resolve) => {
       const script = document.createElement("script");
-      script.src = folder + "vega.js";
+      script.src = folder + name;
       script.onload = resolve;
       document.head.append(script);
-    });
-    return vega;
+    }));
+
+  // The whole specification of a chart, from its kind and its data.
+  const filled = (chart) => {
+    const specification = structuredClone(window.chartKinds[chart.kind]);
+    if (chart.kind === "scalar") {
+      return { ...specification, datasets: { scalar: chart.t.map((t, k) => ({ t, v: chart.v[k] })) } };
+    }
+    const curves = chart.curves.flatMap(({ a, n, t, m, i }) =>
+      t.map((step, k) => ({ a, n, t: step, m: m[k], ...(i && { l: m[k] - i[k], h: m[k] + i[k] }) })),
+    );
+    if (!chart.curves.some(({ i }) => i)) {
+      specification.layer.shift(); // one seed each: there are no intervals
+      for (const { encoding } of specification.layer) {
+        encoding.tooltip = encoding.tooltip?.filter(({ field }) => field !== "l" && field !== "h");
+      }
+    }
+    for (const { encoding } of specification.layer) {
+      encoding.color.scale = { domain: Object.keys(chart.colours), range: Object.values(chart.colours) };
+    }
+    return { ...specification, datasets: { curves, paper: chart.paper } };
   };
 
-  // Draws a specification, given as text, into an element; returns Vega's view of it.
-  const draw = async (element, text, data = {}) => {
-    await load();
-    const specification = JSON.parse(coloured(text));
+  // Draws a chart into an element. adapt: changes its specification before.
+  const draw = async (element, chart, adapt = () => {}) => {
+    await Promise.all([load("chart-kinds.js"), load("vega.js")]);
+    const specification = JSON.parse(coloured(JSON.stringify(filled(chart))));
     specification.config = config();
     specification.autosize = { type: "fit-x", contains: "padding" };
-    if (Object.keys(data).length) specification.datasets = data;
-    const { view } = await vegaEmbed(element, specification, { actions: false, renderer: "svg", tooltip: { theme: isDark() ? "dark" : "light" } });
-    return view;
+    adapt(specification);
+    await vegaEmbed(element, specification, { actions: false, renderer: "svg", tooltip: { theme: isDark() ? "dark" : "light" } });
   };
 
-  const drawFigure = (figure) => draw(figure.querySelector(".drawing"), figure.querySelector("script").textContent);
+  const drawFigure = (figure) => draw(figure.querySelector(".drawing"), JSON.parse(figure.querySelector("script").textContent));
 
   const whenThemeChanges = (again) => {
     let dark = isDark();
@@ -61,7 +80,7 @@
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", look);
   };
 
-  window.charts = { draw, whenThemeChanges };
+  window.charts = { draw, load, whenThemeChanges };
 
   const seen = new Set();
   const observer = new IntersectionObserver(
