@@ -139,7 +139,7 @@ class Env(vector.VectorEnv):
         return step_all(self.game, self.config, actions, playing)
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
-        """The map of one sub-environment: units as discs with the letter of their type, allies blue, enemies red.
+        """The battle of one sub-environment: units as discs with the letter of their type, allies blue, enemies red.
 
         Above a unit are bars of its hp (green) and its shield (blue); those that fly have a white edge. Lines join a
         unit to whom it has hit, or with a green one healed, in this step. Crosses are the dead.
