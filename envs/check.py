@@ -264,10 +264,8 @@ def masked_resets(make: Make) -> Iterator[str]:
 
 def restart(env: VectorEnv, when: int, t: int, masks: Masks) -> Masks:
     """Before step `when` of an episode, resets sub-environment 1 alone. See `play` for the others."""
-    if t != when:
-        return masks
-    _, info = env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})
-    masks = info["action_mask"]
+    if t == when:
+        masks = env.reset(options={"reset_mask": np.arange(env.num_envs) == 1})[1]["action_mask"]
     return masks
 
 

@@ -1,3 +1,25 @@
 """For all tests."""
 
-import envs  # noqa: F401 (before PyTorch, as in the scripts: matrix products are computed as there)
+import envs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are computed as there)
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory, worker_id):
+    """made_once(name, make) gives a folder that `make`, called with its path, has filled: once for all processes of
+    pytest-xdist."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base if worker_id == "master" else base.parent
+
+    def give(name, make):
+        folder, done = shared / name, Path(f"{shared / name}.done")
+        with FileLock(f"{folder}.lock"):
+            if not done.exists():
+                make(folder)
+                done.touch()
+        return folder
+
+    return give

@@ -22,7 +22,7 @@ import torch
 from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from envs import runs
+from envs import fast_mkl, runs
 from envs.families import lbf, matrix
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
@@ -73,20 +73,25 @@ def main(monkeypatch, capsys, name, *flags):
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def finished(request, tmp_path_factory):
-    """A short run of each script, never interrupted: its name and directory. Two are processes of their own."""
+def finished(request, made_once):
+    """A short run of each script, never interrupted: its name and directory, which no test may change.
+
+    Two are processes of their own.
+    """
     name = request.param
-    directory = tmp_path_factory.mktemp(name) / "run"
-    flags = [*short(name), "--run-dir", directory]
-    if name in ("mappo", "qmix"):
-        done = run(name, *flags)
-        assert done.returncode == 0, done.stderr
-        assert done.stderr.count("return_mean") == 11  # a line for each evaluation where there is no terminal
-    else:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(signal, "signal", lambda number, handler: None)
-            script(name).train(parse(name, flags))
-    return name, directory
+
+    def train(directory):
+        flags = [*short(name), "--run-dir", directory]
+        if name in ("mappo", "qmix"):
+            done = run(name, *flags)
+            assert done.returncode == 0, done.stderr
+            assert done.stderr.count("return_mean") == 11  # a line for each evaluation where there is no terminal
+        else:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(signal, "signal", lambda number, handler: None)
+                script(name).train(parse(name, flags))
+
+    return name, made_once(f"{name}-run", train)
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +133,7 @@ def test_config_says_what_was_run(finished):
     changed = {"total_timesteps": STEPS[name], "hidden_dim": 32, "eval_points": 11}
     assert changed.items() <= config["changed"].items()
     assert not {"env", "seed", "run_dir", "gamma"} & config["changed"].keys()
+    assert config["fast_mkl"] == fast_mkl.LOADED
     others = {"command", "python", "versions", "version", "script", "commit", "machine", "fast_mkl"}
     assert set(config) == {"algorithm", "flags", "changed", "paper_timesteps", *others}
 
@@ -168,18 +174,11 @@ def test_tensorboard_has_what_practitioners_look_for(finished):
     assert events.Scalars("evaluation/return_mean")[-1].value == pytest.approx(last)
 
 
-# --- the same run again, and after interruptions ---
-@pytest.mark.slow
-def test_same_seed_same_file(finished, monkeypatch, capsys, tmp_path):
-    name, directory = finished
-    assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "again")[0] == 0
-    assert evaluations(tmp_path / "again") == evaluations(directory)
-
-
+# --- other seeds, and the same run after interruptions ---
 @pytest.mark.slow
 def test_another_seed_another_file(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
-    few = [*short(name), "--total-timesteps", "2000", "--eval-points", "2"]
+    few = [*short(name), "--total-timesteps", "1", "--eval-points", "2"]
     assert main(monkeypatch, capsys, name, *few, "--seed", 1, "--run-dir", tmp_path / "other")[0] == 0
     assert evaluations(tmp_path / "other")[0] != evaluations(directory)[0]
 
@@ -190,26 +189,25 @@ def rows_written(directory):
     return len(path.read_text().splitlines()) - 1 if path.exists() else 0
 
 
-@pytest.mark.parametrize("name", ["mappo", "qmix"])
+with_and_without_replay = pytest.mark.parametrize("finished", ["mappo", "qmix"], indirect=True)
+
+
+@with_and_without_replay
 @pytest.mark.slow
-def test_killed_and_resumed_is_never_interrupted(name, tmp_path):
-    """kill -9 at two random moments of the training, each time after it has got further than before."""
-    whole = tmp_path / "whole"
-    assert run(name, *short(name), "--run-dir", whole).returncode == 0
-    moments = random.Random(name)
-    for _ in range(2):
-        before = rows_written(tmp_path / "run")
-        process = subprocess.Popen(command(name, *short(name), "--run-dir", tmp_path / "run", "--resume"))
-        while rows_written(tmp_path / "run") <= before:
-            assert process.poll() is None
-            time.sleep(0.01)
-        time.sleep(moments.uniform(0, 0.2 if name in ON_POLICY else 0.1))
-        process.kill()
-        process.wait()
+def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
+    """kill -9 at a random moment of the training, after the second evaluation."""
+    name, directory = finished
+    process = subprocess.Popen(command(name, *short(name), "--run-dir", tmp_path / "run"))
+    while rows_written(tmp_path / "run") < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(random.Random(name).uniform(0, 0.2 if name in ON_POLICY else 0.1))
+    process.kill()
+    process.wait()
     assert rows_written(tmp_path / "run") < 11  # it was killed before it was complete
     done = run(name, *short(name), "--run-dir", tmp_path / "run", "--resume")
     assert done.returncode == 0, done.stderr
-    assert evaluations(tmp_path / "run") == evaluations(whole)
+    assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
 def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGINT):
@@ -266,6 +264,7 @@ def test_stopped_anywhere_and_resumed_is_never_interrupted(finished, monkeypatch
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
+@with_and_without_replay
 @pytest.mark.slow
 def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tmp_path):
     """Evaluations may be hours apart, so a run is also saved when the last checkpoint is old; here: always."""
@@ -432,11 +431,11 @@ def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
 @pytest.mark.slow
-def test_closed_streams(tmp_path):
+def test_closed_streams_in_any_folder(tmp_path):
     flags = ["--env", "matrix-climbing", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
-    line = " ".join(command("mappo", *flags, "--run-dir", tmp_path / "run"))
-    assert subprocess.run(f"{line} >&- 2>&-", shell=True).returncode == 0
-    assert len(evaluations(tmp_path / "run")) == 2
+    line = " ".join(command("mappo", *flags))
+    assert subprocess.run(f"{line} >&- 2>&-", shell=True, cwd=tmp_path).returncode == 0
+    assert len(evaluations(tmp_path / "runs/matrix-climbing/mappo-shared/seed0")) == 2
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
@@ -560,7 +559,7 @@ class TestWrongInput:
 
     @pytest.mark.slow
     def test_a_name_in_a_terminal_without_unicode(self, tmp_path):
-        flags = [*short("mappo"), "--run-dir", tmp_path / "ü"]
+        flags = [*short("mappo"), "--total-timesteps", 500, "--eval-points", 2, "--run-dir", tmp_path / "ü"]
         terminal = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
         done = run("mappo", *flags, env=terminal)
         assert done.returncode == 2 and "PYTHONUTF8=1 changes that." in self.one_sentence(done.stderr)
@@ -684,9 +683,10 @@ def test_watching_where_nothing_can_be_written(mappo_run, monkeypatch, capsys, t
 
 
 @pytest.mark.slow
-def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys):
+def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys, tmp_path):
     """Those of the seed, played by a team that has drawn nothing yet."""
     (name, directory), returns, film = finished, np.zeros(3), envs.film
+    copy = copy_of(directory, tmp_path / "run")
 
     def film_of_a_fresh_team(env, team, *others):
         assert torch.equal(team.rng.get_state(), torch.Generator().manual_seed(5).get_state())
@@ -699,7 +699,7 @@ def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatc
 
     monkeypatch.setattr(envs, "film", film_of_a_fresh_team)
     monkeypatch.setattr(lbf.Env, "frame", frame)
-    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(directory), "--eval-episodes", "3", "--seed", "5"])
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(copy), "--eval-episodes", "3", "--seed", "5"])
     script(name).main()
     assert f"return_mean {returns.mean():.3f}, return_std {returns.std():.3f}," in capsys.readouterr().out
 
@@ -733,21 +733,15 @@ def test_a_greedy_team_is_deterministic(finished):
     assert np.array_equal(*drawn) == alike
 
 
-@pytest.mark.slow
-def test_scripts_run_from_any_folder(tmp_path):
-    flags = ["--env", "matrix-climbing", "--total-timesteps", "300", "--eval-points", "2", "--eval-episodes", "2"]
-    done = run("mappo", *flags, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "runs/matrix-climbing/mappo-shared/seed0/evaluations.csv").exists()
-
-
 # --- learning ---
+ENOUGH = {name: 100_000 if name in ON_POLICY else 10_000 for name in NAMES} | {"ippo": 30_000, "mappo": 30_000}  # steps
+
+
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_learns_the_penalty_game(name, tmp_path, monkeypatch, capsys):
     """k = 0: every equilibrium that pays 10 a step is found, 250 an episode; random play earns 61."""
-    steps = 100_000 if name in ON_POLICY else 10_000
-    flags = ["--env", "matrix-penalty-0", "--total-timesteps", steps, "--eval-points", "2"]
+    flags = ["--env", "matrix-penalty-0", "--total-timesteps", ENOUGH[name], "--eval-points", "2"]
     assert main(monkeypatch, capsys, name, *flags, "--run-dir", tmp_path / "run")[0] == 0
     rows = evaluations(tmp_path / "run")
     assert float(rows[0]["return_mean"]) < 150 and float(rows[1]["return_mean"]) > 240
@@ -773,8 +767,7 @@ class Opponents(matrix.Env):
 @pytest.mark.slow
 def test_opponents_learn_from_their_own_rewards(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(matrix, "Env", Opponents)
-    steps = 100_000 if name in ON_POLICY else 10_000
-    flags = ["--env", "matrix-climbing", "--seed", 1, "--total-timesteps", steps, "--eval-points", "2"]
+    flags = ["--env", "matrix-climbing", "--seed", 1, "--total-timesteps", ENOUGH[name], "--eval-points", "2"]
     flags += ["--individual-rewards", "--no-parameter-sharing", "--run-dir", tmp_path / "run"]
     assert main(monkeypatch, capsys, name, *flags)[0] == 0
     rows = evaluations(tmp_path / "run")

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from filelock import FileLock
 from scripts import ROOT
 from selenium import webdriver
 
@@ -278,17 +277,15 @@ def test_labels_of_the_battles(name):
 
 # --- the built site in a browser ---
 @pytest.fixture(scope="session")
-def site(tmp_path_factory, worker_id):
-    """The site, built as the README says, once for all workers of pytest-xdist."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "a folder with spaces" / "site"
-    with FileLock(f"{folder.parent}.lock"):
-        if not (folder / "built").exists():
-            command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", str(DOCS), str(folder)]
-            built = subprocess.run(command, capture_output=True, text=True)
-            assert built.returncode == 0, built.stderr
-            (folder / "built").touch()
-    return folder
+def site(made_once):
+    """The site, built as the README says."""
+
+    def build(folder):
+        command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", str(DOCS), str(folder)]
+        built = subprocess.run(command, capture_output=True, text=True)
+        assert built.returncode == 0, built.stderr
+
+    return made_once("a folder with spaces", build)
 
 
 class Page(HTMLParser):

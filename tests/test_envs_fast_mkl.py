@@ -100,12 +100,9 @@ def no_home(path):
     raise RuntimeError("Could not determine home directory.")
 
 
-@pytest.mark.parametrize("machine", ["as it is", "without a compiler"])
 @pytest.mark.slow
-def test_config_json_says_whether_it_was_there(tmp_path, machine):
-    variables = {"MARL_FAST_MKL": ""}
-    if machine == "without a compiler":
-        variables |= {"PATH": "", "XDG_CACHE_HOME": str(tmp_path / "cache")}
+def test_mappo_trains_without_a_compiler_and_says_so(tmp_path):
+    variables = {"MARL_FAST_MKL": "", "PATH": "", "XDG_CACHE_HOME": str(tmp_path / "cache")}
     flags = "--env matrix-climbing --total-timesteps 500 --eval-points 2 --eval-episodes 2".split()
     subprocess.run(
         [sys.executable, str(ROOT / "algos/mappo.py"), *flags, "--run-dir", str(tmp_path / "run")],
@@ -113,4 +110,4 @@ def test_config_json_says_whether_it_was_there(tmp_path, machine):
         env=os.environ | variables,
     )
     config = json.loads((tmp_path / "run" / "config.json").read_text())
-    assert config["fast_mkl"] == (machine == "as it is" and can_be_built())
+    assert config["fast_mkl"] is False
