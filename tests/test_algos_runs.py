@@ -27,7 +27,7 @@ from envs.families import lbf, matrix
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "running", "--network", "gru"]
-STEPS = {name: 10_000 if name in ON_POLICY else 3000 for name in NAMES}
+STEPS = {name: 5000 if name in ON_POLICY else 3000 for name in NAMES}
 WRITTEN = ["checkpoint.previous.pt", "checkpoint.pt", "config.json", "evaluations.csv"]
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
@@ -657,6 +657,7 @@ def test_load_from_anywhere(mappo_run, tmp_path):
     assert done.stdout.strip() == "(4, 2)", done.stderr
 
 
+@with_and_without_replay
 @pytest.mark.slow
 def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     from PIL import Image
@@ -682,6 +683,7 @@ def test_watching_where_nothing_can_be_written(mappo_run, monkeypatch, capsys, t
     assert said[0].startswith("return_mean ") and said[1].startswith("There is no place for the film: [Errno")
 
 
+@with_and_without_replay
 @pytest.mark.slow
 def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatch, capsys, tmp_path):
     """Those of the seed, played by a team that has drawn nothing yet."""
@@ -734,14 +736,16 @@ def test_a_greedy_team_is_deterministic(finished):
 
 
 # --- learning ---
-ENOUGH = {name: 100_000 if name in ON_POLICY else 10_000 for name in NAMES} | {"ippo": 30_000, "mappo": 30_000}  # steps
+SOON = {name: ["--total-timesteps", 10_000] for name in OFF_POLICY}  # flags for learning it in a few seconds
+SOON |= {name: ["--total-timesteps", 50_000, "--learning-rate", 0.003] for name in ("ia2c", "maa2c", "coma")}
+SOON |= {name: ["--total-timesteps", 30_000] for name in ("ippo", "mappo")}
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_learns_the_penalty_game(name, tmp_path, monkeypatch, capsys):
     """k = 0: every equilibrium that pays 10 a step is found, 250 an episode; random play earns 61."""
-    flags = ["--env", "matrix-penalty-0", "--total-timesteps", ENOUGH[name], "--eval-points", "2"]
+    flags = ["--env", "matrix-penalty-0", *SOON[name], "--eval-points", "2"]
     assert main(monkeypatch, capsys, name, *flags, "--run-dir", tmp_path / "run")[0] == 0
     rows = evaluations(tmp_path / "run")
     assert float(rows[0]["return_mean"]) < 150 and float(rows[1]["return_mean"]) > 240
@@ -767,7 +771,7 @@ class Opponents(matrix.Env):
 @pytest.mark.slow
 def test_opponents_learn_from_their_own_rewards(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(matrix, "Env", Opponents)
-    flags = ["--env", "matrix-climbing", "--seed", 1, "--total-timesteps", ENOUGH[name], "--eval-points", "2"]
+    flags = ["--env", "matrix-climbing", "--seed", 1, *SOON[name], "--eval-points", "2"]
     flags += ["--individual-rewards", "--no-parameter-sharing", "--run-dir", tmp_path / "run"]
     assert main(monkeypatch, capsys, name, *flags)[0] == 0
     rows = evaluations(tmp_path / "run")

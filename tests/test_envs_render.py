@@ -11,6 +11,7 @@ from PIL import Image
 
 import envs
 from envs import render
+from envs.families import lbf
 from envs.render import save_film
 
 
@@ -140,6 +141,8 @@ class Still:
 @pytest.mark.slow
 def test_long_films_are_played_faster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Five episodes of 51 pictures, each end shown four times more: 275 pictures."""
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(lbf.Env, "frame", lambda env, index: rng.integers(0, 256, (4, 4, 3), np.uint8))
     for limit, duration in ((1000, 200), (30, 110), (1, 20)):
         monkeypatch.setattr(render, "FILM_SECONDS", limit)
         render.film(envs.make("lbf-5x5-2p-1f", 5), Still(), 0, tmp_path / "film.gif")
