@@ -16,7 +16,6 @@ import argparse
 import itertools
 import math
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -208,8 +207,6 @@ def main() -> None:
             parser.error(f"--output: {error}")
         if not args.output.parent.is_dir():
             parser.error(f"--output: there is no folder {args.output.parent}")
-        with tempfile.TemporaryFile(dir=args.output.parent) as file:  # is there room?
-            file.write(bytes(2**16))
     for name in args.tasks:
         envs.make(name, max(args.num_envs)).close()
     origin = runs.provenance()  # now: what is written into a checkout makes it dirty

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from reporting.results import KEY, PAPER_SETTING, family, paper_returns, paper_task
+from reporting.results import KEY, PAPER_SETTING, family, paper_cells, paper_task
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)
@@ -26,7 +26,7 @@ def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:
     with min and max over all that was measured on the task: algorithms, seeds, points, with and without sharing. A
     task on which nothing ever changed is left out.
     """
-    in_paper = evaluations["task"].map(paper_task).isin(paper_returns()["task"])
+    in_paper = evaluations["task"].map(paper_task).isin(paper_cells()["task"])
     chosen = evaluations[in_paper & (evaluations["setting"] == PAPER_SETTING)]
     returns = chosen.groupby("task")["return_mean"]
     low, high = returns.transform("min"), returns.transform("max")

@@ -19,11 +19,11 @@ from typing import Any
 
 import pandas as pd
 
-from reporting.results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_returns
+from reporting.results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
 from reporting.tables import same_mean
 
 HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured yet"
-TASKS = tuple(dict.fromkeys(paper_returns()["task"]))
+TASKS = tuple(dict.fromkeys(paper_cells()["task"]))
 MATRIX, MPE, SMAC, LBF, RWARE = (tuple(task for task in TASKS if family(task) == name) for name in PAPER_FAMILIES)
 HARD_SMAC = ("smac-corridor", "smac-MMM2")
 LARGE_LBF = ("lbf-15x15-3p-5f", "lbf-15x15-4p-3f", "lbf-15x15-4p-5f")

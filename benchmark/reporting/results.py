@@ -13,7 +13,6 @@ The names are for people; programs read the JSON. A seed counts once the JSON li
 """
 
 import functools
-import hashlib
 import io
 import itertools
 import json
@@ -26,6 +25,7 @@ import numpy as np
 import pandas as pd
 
 import envs
+from envs.runs import safe_name
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE / "results"
@@ -45,7 +45,6 @@ PARTS = {
     **{"algorithm": str, "changed": dict, "paper_timesteps": int},
     **{"env": str, "parameter_sharing": bool, "total_timesteps": int},  # these among the flags
 }
-LONGEST_NAME = 200  # file systems stop at 255
 
 
 @functools.cache
@@ -79,10 +78,7 @@ def table_path(results: Path, algorithm: str, task: str, sharing: bool, changed:
     name = f"{algorithm}-{'shared' if sharing else 'independent'}"
     for flag, value in sorted(changed.items()):
         name += f"-{flag.replace('_', '-')}={value}"
-    if len(name) > LONGEST_NAME:
-        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
-    safe_task, safe_name = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (task, name))
-    return results / safe_task / safe_name
+    return results / safe_name(task) / safe_name(name)
 
 
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
@@ -243,11 +239,11 @@ def interval(deviation: Any, seeds: Any) -> Any:
     return 2 * deviation / np.sqrt(seeds)
 
 
-def paper_returns() -> pd.DataFrame:
-    """The paper's tables: columns metric (max_return, average_return, max_win_rate), sharing (bool), task, algorithm,
-    mean, interval, mark ("best", "not significantly different" or nothing)."""
+def paper_cells() -> pd.DataFrame:
+    """The paper's tables, a row for each cell: metric (max_return, average_return, max_win_rate), sharing (bool), task,
+    algorithm, mean, interval, seeds, mark ("best", "not significantly different" or nothing)."""
     table = pd.read_csv(PAPER / "returns.csv", keep_default_na=False)
-    table["sharing"] = table["parameter_sharing"] == "yes"
+    table = table.assign(sharing=table["parameter_sharing"] == "yes", seeds=PAPER_SEEDS)
     return table.rename(columns={"ci95": "interval"}).drop(columns="parameter_sharing")
 
 
@@ -276,11 +272,6 @@ def speeds(results: Path = RESULTS) -> pd.DataFrame:
     is_ours = measured["whose"].str.startswith("ours")
     both = pd.concat([paper, measured[~is_ours], measured[is_ours]])[["task", "whose", "steps_per_second"]]
     return both.assign(family=both["task"].map(family))
-
-
-def paper_cells() -> pd.DataFrame:
-    """The paper's tables as cells: a row for each metric, sharing, task and algorithm with mean, interval and seeds."""
-    return paper_returns().assign(seeds=PAPER_SEEDS)
 
 
 def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
