@@ -51,7 +51,6 @@ class Canvas:
     """A picture of width x height pixels. Coordinates are pixels from the top left corner and may be fractions."""
 
     def __init__(self, width: int, height: int) -> None:
-        self.size = (width, height)
         self.image = Image.new("RGB", (width * DETAIL, height * DETAIL), PAPER)
         self.pen = ImageDraw.Draw(self.image)
 
@@ -90,7 +89,7 @@ class Canvas:
 
     def frame(self) -> NDArray[np.uint8]:
         """The picture, uint8 [height, width, 3]."""
-        return np.asarray(self.image.resize(self.size, Image.Resampling.BOX))
+        return np.asarray(self.image.reduce(DETAIL))
 
 
 def common_palette(images: list[Image.Image]) -> Image.Image:
