@@ -81,16 +81,18 @@ class TestKeeping:
         return tmp_path / "run"
 
     def test_the_best_algorithm_of_a_task(self, run, tmp_path):
-        returns = pd.Series({("matrix-climbing", "ia2c"): 5.0, ("matrix-climbing", "mappo"): 6.0})
+        returns = pd.Series({("matrix-climbing", name): 5.0 for name in ("ia2c", "mappo")} | {("other", "iql"): 6.0})
         place = tmp_path / "teams" / "matrix-climbing"
         assert teams.keep_team(run, returns, tmp_path / "teams") == place
         team = script("ia2c").load(place)
         assert (place / "checkpoint.pt").stat().st_size < (run / "checkpoint.pt").stat().st_size
         assert team.args.env == "matrix-climbing" and config_of(place)["flags"]["run_dir"] == ""
         assert teams.keep_team(run, returns, tmp_path / "teams") is None  # not better than itself
-        for algorithm, kept in (("mappo", None), ("coma", place)):  # 6, and none in the results
+        for algorithm, kept in (("mappo", None), ("coma", place)):  # as good, and none in the results
             (place / "config.json").write_text(json.dumps({"algorithm": algorithm}))
             assert teams.keep_team(run, returns, tmp_path / "teams") == kept
+        returns["matrix-climbing", "qmix"] = 6.0
+        assert teams.keep_team(run, returns, tmp_path / "elsewhere") is None
 
     @pytest.mark.parametrize("change", [{"seed": 1}, {"parameter_sharing": False}, {"env": "lbf-9x9-2p-2f"}])
     def test_other_runs_are_not_kept(self, run, tmp_path, change):

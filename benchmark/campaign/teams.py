@@ -25,7 +25,7 @@ def last_returns(results: Path = RESULTS) -> pd.Series:
 
 def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path | None:
     """Keeps the team of a complete run as teams/<task>, if it is of seed 0 with sharing, one of the paper's tasks and
-    setting, and its algorithm is better on this task than that of the team which is there.
+    setting, its algorithm is the best on this task, and that of the team which is there is not as good.
 
     returns: `last_returns`. Gives the team's place, None where it was not kept. InputError where the run has no
     checkpoint that can be read.
@@ -36,10 +36,11 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
     usual = not config["changed"] and flags["parameter_sharing"] and flags["seed"] == 0
     if not usual or task not in envs.task_names() or not (directory / "checkpoint.pt").exists():
         return None
-    if (place / "config.json").exists():
-        there = json.loads((place / "config.json").read_text(encoding="utf-8"))["algorithm"]
-        if returns[task, algorithm] <= returns.get((task, there), -float("inf")):
-            return None
+    best, there = returns[task].max(), place / "config.json"
+    if returns[task, algorithm] < best:
+        return None
+    if there.exists() and returns.get((task, json.loads(there.read_text(encoding="utf-8"))["algorithm"])) == best:
+        return None
     saved = read_checkpoint(directory, algorithm)
     config = {name: value for name, value in config.items() if name not in OF_A_MACHINE}
     config["flags"] = flags | {"run_dir": "", "resume": False}
