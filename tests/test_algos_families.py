@@ -24,11 +24,12 @@ def few_updates(monkeypatch, name, task, sharing, **flags):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("sharing", [True, False])
 @pytest.mark.slow
-def test_a_few_updates(monkeypatch, name, sharing):
+def test_a_few_updates(monkeypatch, name):
     for task in [task for task in TASKS if not task.endswith("-selfplay")]:
-        few_updates(monkeypatch, name, task, sharing)
+        few_updates(monkeypatch, name, task, True)
+    for task in ("matrix-climbing", "mpe-speaker-listener"):
+        few_updates(monkeypatch, name, task, False)
 
 
 @pytest.mark.parametrize("name", INDIVIDUAL)

@@ -772,6 +772,7 @@ class Opponents(matrix.Env):
 def test_opponents_learn_from_their_own_rewards(name, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(matrix, "Env", Opponents)
     flags = ["--env", "matrix-climbing", "--seed", 1, *SOON[name], "--eval-points", "2"]
+    flags += ["--total-timesteps", 5000] if name in OFF_POLICY else []
     flags += ["--individual-rewards", "--no-parameter-sharing", "--run-dir", tmp_path / "run"]
     assert main(monkeypatch, capsys, name, *flags)[0] == 0
     rows = evaluations(tmp_path / "run")

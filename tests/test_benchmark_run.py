@@ -420,6 +420,7 @@ class TestRunning:
         assert campaign(monkeypatch, "--seeds", 4, "--jobs", 2) == 0
         assert most[:2] == [1, 2] and max(most) == 2
 
+    @pytest.mark.slow
     def test_a_run_goes_on_from_its_checkpoint(self, monkeypatch, capsys):
         """Stopped by a signal to this program, it counts on: a run that began anew would not say so."""
         timer = threading.Thread(target=signal_when, args=(folder_of(0, "ia2c-shared-pace=0.02") / "checkpoint.pt",))
@@ -671,6 +672,7 @@ class TestView:
         assert "0 of 1 runs in the results, 1 running" in said and view.HEADER in said
         assert "1,000      1.50" in said  # steps per second, last return
 
+    @pytest.mark.slow
     def test_what_the_results_hold_counts_from_the_start(self, monkeypatch, capsys):
         monkeypatch.setattr(view, "LINES_EVERY", 0.2)
         words = "--seeds", 1, "--jobs", 1, "--", "--pace", "0.02"
@@ -981,6 +983,7 @@ class TestRay:
 
 
 class TestSearch:
+    @pytest.mark.slow
     def test_a_grid_from_its_file_to_its_winner(self, monkeypatch, capsys, tmp_path):
         """The stand-in's return is 40 times its learning rate; 0.5 is its paper's choice."""
         lines = ["ia2c mappo,matrix lbf,learning_rate,0.25 0.5 1.0", "ia2c,matrix,device,cpu"]
@@ -1028,6 +1031,7 @@ class TestSearch:
         assert tables == ["ia2c-shared-learning-rate=0.25.csv", "ia2c-shared.csv"]
         assert [path.name for path in Path("benchmark").iterdir()] == ["searches"]
 
+    @pytest.mark.slow
     def test_one_variant_with_fewer_seeds_makes_a_search_incomplete(self, monkeypatch):
         for rate, seeds in ((0.25, 3), (1.0, 2)):
             assert campaign(monkeypatch, "--seeds", seeds, "--", "--learning-rate", rate) == 0

@@ -115,6 +115,7 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
                 envs.task(words[words.index("--env") + 1])
 
 
+@pytest.mark.slow
 def test_the_command_of_a_result_names_its_runs():
     changed = {"total_timesteps": 3000000}
     command = results_data.campaign("ia2c", "lbf-8x8-2p-2f-c", False, changed, 1)
@@ -307,6 +308,7 @@ def parsed(file):
     return Page(file.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_no_link_and_no_anchor_is_broken(site):
     broken = []
     for file in site.glob("**/*.html"):
@@ -325,6 +327,7 @@ def test_no_link_and_no_anchor_is_broken(site):
     assert broken == [], broken[:20]
 
 
+@pytest.mark.slow
 def test_pages_are_small(site):
     for file in site.glob("**/*.html"):
         own = [link for link in parsed(file).links if link.split("?")[0].endswith((".js", ".css"))]
@@ -386,6 +389,7 @@ return !next;
 """
 
 
+@pytest.mark.slow
 def test_every_page_loads_without_error_and_without_the_network(site, browser):
     pages = [file for file in sorted(site.glob("**/*.html")) if "_modules" not in file.parts]
     assert len(pages) > 30
@@ -395,6 +399,7 @@ def test_every_page_loads_without_error_and_without_the_network(site, browser):
         assert complaints(browser) == [], file
 
 
+@pytest.mark.slow
 def test_formulas_are_typeset(site, browser):
     for name in script.ALGORITHMS:
         visit(browser, site / "algorithms" / f"{name}.html")
@@ -405,6 +410,7 @@ def test_formulas_are_typeset(site, browser):
         assert sizes and all(width > 20 and height > 8 for width, height in sizes)
 
 
+@pytest.mark.slow
 def test_no_page_is_wider_than_a_phone(site, browser):
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
@@ -417,6 +423,7 @@ def test_no_page_is_wider_than_a_phone(site, browser):
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+@pytest.mark.slow
 def test_a_click_in_the_explorer_changes_its_curves(site, browser):
     visit(browser, site / "explorer.html")
     lines = "return [...document.querySelectorAll('#explorer .mark-line path')].map((x) => x.getAttribute('d')).join()"
@@ -440,6 +447,7 @@ def test_a_click_in_the_explorer_changes_its_curves(site, browser):
     assert complaints(browser) == []
 
 
+@pytest.mark.slow
 def test_tables_are_sorted_by_a_click(site, browser):
     visit(browser, site / "tables.html")
     table = browser.find_element("css selector", "table.results")
@@ -451,6 +459,7 @@ def test_tables_are_sorted_by_a_click(site, browser):
     assert len(values) > 3 and values == sorted(values, reverse=True)
 
 
+@pytest.mark.slow
 def test_search_finds_bootstrap(site, browser):
     visit(browser, site / "search.html", "?q=bootstrap")
     found = until(lambda: browser.find_elements("css selector", "#search-results li a"))

@@ -333,6 +333,7 @@ if __name__ == "__main__":
         ("hangs", "os.kill(os.getpid(), signal.SIGKILL)", -9, 1),
     ],
 )
+@pytest.mark.slow
 def test_a_worker_that_hangs_ends_with_its_program(how: str, end: str, code: int, closed: int) -> None:
     """Without `close`, as after the third Ctrl-C."""
     play = HANGS.replace("HOW", repr(how)).replace("END", end)
@@ -567,6 +568,7 @@ def test_killed_and_resumed_through_an_adapter(monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="Windows has no SIGTERM for other processes")
+@pytest.mark.slow
 def test_a_run_whose_environment_hangs_can_be_stopped(tmp_path: Path) -> None:
     """By a second SIGTERM; the first one says so, and the workers end as well."""
     flags = ["--env", "pettingzoo:toy_broken", "--env-kwargs", "how='hangs'", "--env-workers", 2]
