@@ -112,7 +112,7 @@ def padding() -> None:
 def opponents() -> None:
     """The tasks against trained opponents: seed 0 beside the paper's intervals."""
     averages, maxima = paper("average_return"), paper("max_return")
-    on_tag = [("mpe-tag", name) for name in ("mappo", "maa2c", "ia2c", "coma")]
+    on_tag = [("mpe-tag", name) for name in ("mappo", "iql", "maa2c", "coma", "ia2c")]
     for task, algorithm in (*on_tag, ("mpe-adversary", "mappo"), ("mpe-adversary", "maa2c")):
         key = task, algorithm, "shared"
         seed = ours(*key)[0]
