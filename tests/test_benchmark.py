@@ -215,6 +215,8 @@ def test_many_changed_flags_still_make_a_name(tmp_path):
     flags = {f"a_flag_with_a_long_name_{number}": number for number in range(20)}
     one, two = (results.table_path(tmp_path, "mappo", "a/b", True, flags | {"z": z}) for z in (1, 2))
     assert one != two and len(one.name) < 250 and one.parent.name == "a_b"
+    kept = results.table_path(tmp_path, "mappo", "a/b", True, flags).name
+    assert kept.endswith("-a-flag-with-d119897d")  # as ever, so that older results are found
 
 
 def test_other_flags_do_not_mix(tmp_path):
@@ -1278,17 +1280,8 @@ def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, capsys, tmp_path):
 def test_training_speed(monkeypatch, run):
     algorithms = ["mappo", "coma", "qmix", "maddpg", "iql"]
     monkeypatch.setattr(time_training, "TURNS", 1)
-    words = [
-        "--env",
-        "matrix-climbing",
-        "--seconds",
-        "0.1",
-        "--algorithms",
-        *algorithms,
-        "--",
-        "--no-parameter-sharing",
-    ]
-    lines = run(time_training, *words).stdout.splitlines()
+    words = ["--env", "matrix-climbing", "--seconds", "0.1", "--algorithms", *algorithms]
+    lines = run(time_training, *words, "--", "--no-parameter-sharing").stdout.splitlines()
     kernels = [["plain"], ["plain", "fast"]][fast_mkl.LOADED]
     assert [(line.split()[0], line.split()[4]) for line in lines] == list(itertools.product(algorithms, kernels))
     assert all("reference passes" in line and "independent" in line for line in lines)

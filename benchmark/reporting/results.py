@@ -13,6 +13,7 @@ The names are for people; programs read the JSON. A seed counts once the JSON li
 """
 
 import functools
+import hashlib
 import io
 import itertools
 import json
@@ -25,7 +26,6 @@ import numpy as np
 import pandas as pd
 
 import envs
-from envs.runs import safe_name
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE / "results"
@@ -45,6 +45,7 @@ PARTS = {
     **{"algorithm": str, "changed": dict, "paper_timesteps": int},
     **{"env": str, "parameter_sharing": bool, "total_timesteps": int},  # these among the flags
 }
+LONGEST_NAME = 200  # file systems stop at 255
 
 
 @functools.cache
@@ -78,7 +79,10 @@ def table_path(results: Path, algorithm: str, task: str, sharing: bool, changed:
     name = f"{algorithm}-{'shared' if sharing else 'independent'}"
     for flag, value in sorted(changed.items()):
         name += f"-{flag.replace('_', '-')}={value}"
-    return results / safe_name(task) / safe_name(name)
+    if len(name) > LONGEST_NAME:  # not `safe_name`, which cuts otherwise: older results would not be found
+        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    safe_task, safe_name = (re.sub(r"[^A-Za-z0-9_.=-]", "_", part) for part in (task, name))
+    return results / safe_task / safe_name
 
 
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
