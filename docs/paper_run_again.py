@@ -1,6 +1,6 @@
 """The figures of the page "The paper, run again", from the paper's tables, benchmark/results and the battles.
 
-    python docs/paper_run_again.py length | climbing | untrained | impossible | padding | standardised | opponents
+    python docs/paper_run_again.py length | climbing | untrained | impossible | padding | standardised | opponents | words
 
 A test holds the page's figures against what this prints.
 """
@@ -112,14 +112,25 @@ def padding() -> None:
 def opponents() -> None:
     """The tasks against trained opponents: seed 0 beside the paper's intervals."""
     averages, maxima = paper("average_return"), paper("max_return")
-    on_tag = [("mpe-tag", name) for name in ("mappo", "iql", "maa2c", "coma", "ia2c")]
-    for task, algorithm in (*on_tag, ("mpe-adversary", "mappo"), ("mpe-adversary", "maa2c")):
+    for task, algorithm in itertools.product(("mpe-adversary", "mpe-tag"), ON_POLICY + OFF_POLICY):
         key = task, algorithm, "shared"
         seed = ours(*key)[0]
         print(
             f"{task}, {algorithm}: maximum {seed.max():.2f}, the paper {maxima[key][0]:.2f} ± {maxima[key][1]:.2f}; "
-            f"average {seed.mean():.2f}, the paper {averages[key][0]:.2f} ± {averages[key][1]:.2f}; "
-            f"after 0.5 million steps {seed[1]:.2f}, at the end {seed.iloc[-1]:.2f}"
+            f"average {seed.mean():.2f}, the paper {averages[key][0]:.2f} ± {averages[key][1]:.2f}"
+        )
+
+
+def words() -> None:
+    """Speaker-Listener, if one of the paper's five seeds stays at y and the others reach x: then the mean is
+    (4 x + y) / 5 and the interval 2 (x - y) / 5."""
+    for algorithm in ("ippo", "ia2c"):
+        mean, error = paper("max_return")["mpe-speaker-listener", algorithm, "shared"]
+        x, y = mean + error / 2, mean - 2 * error
+        seed = ours("mpe-speaker-listener", algorithm, "shared")[0]
+        print(
+            f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} are four seeds at {x:.1f} and one at {y:.1f}; "
+            f"our seed over the last ten points {seed[-10:].mean():.1f}"
         )
 
 
@@ -152,7 +163,7 @@ def standardised() -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    f.__name__: f for f in (length, climbing, untrained, impossible, padding, standardised, opponents)
+    f.__name__: f for f in (length, climbing, untrained, impossible, padding, standardised, opponents, words)
 }
 
 if __name__ == "__main__":
