@@ -1,6 +1,8 @@
 """The figures of the page "The paper, run again", from the paper's tables, benchmark/results and the battles.
 
-    python docs/paper_run_again.py length | climbing | untrained | impossible | padding | standardised | opponents | words
+    python docs/paper_run_again.py opponents
+
+The parts are length, climbing, untrained, impossible, padding, standardised, opponents and words.
 
 A test holds the page's figures against what this prints.
 """
