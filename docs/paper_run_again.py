@@ -98,31 +98,28 @@ def climbing() -> None:
         print(f"{name}: {', '.join(map(str, found)) or 'none'}")
 
 
+def beside_the_paper(task: str, algorithm: str) -> str:
+    """Our returns on one task with sharing, and the paper's intervals."""
+    key = task, algorithm, "shared"
+    curve = ours(*key).mean(axis="columns")
+    (maximum, error), (average, its_error) = paper("max_return")[key], paper("average_return")[key]
+    return (
+        f"{task}, {algorithm}: maximum {curve.max():.2f}, the paper {maximum:.2f} ± {error:.2f}; "
+        f"average {curve.mean():.2f}, the paper {average:.2f} ± {its_error:.2f}"
+    )
+
+
 def padding() -> None:
     """MADDPG in foraging, beside the paper's."""
-    mean, error = paper("max_return")["lbf-8x8-2p-2f-c", "maddpg", "shared"]
-    files = sorted((BENCHMARK / "results" / "lbf-8x8-2p-2f-c").glob("maddpg-shared*.csv"))
-    for file in files:
-        rows = pd.read_csv(file)
-        best = rows.groupby("point")["return_mean"].mean().max()
-        print(
-            f"{rows['seed'].nunique()} seeds, {rows['timestep'].max() / 1e6:.1f} million timesteps: "
-            f"{best:.2f} at its best; the paper, after 2 million: {mean:.2f} ± {error:.2f}"
-        )
+    for file in sorted((BENCHMARK / "results").glob("lbf-*/maddpg-shared.csv")):
+        print(beside_the_paper(file.parent.name, "maddpg"))
 
 
 def opponents() -> None:
     """The tasks against trained opponents: our seeds beside the paper's intervals."""
-    averages, maxima = paper("average_return"), paper("max_return")
     for task, algorithm in itertools.product(("mpe-adversary", "mpe-tag"), ON_POLICY + OFF_POLICY):
-        key = task, algorithm, "shared"
-        seeds = ours(*key)
-        curve = seeds.mean(axis="columns")
-        print(
-            f"{task}, {algorithm}: maximum {curve.max():.2f}, the paper {maxima[key][0]:.2f} ± {maxima[key][1]:.2f}; "
-            f"average {curve.mean():.2f}, the paper {averages[key][0]:.2f} ± {averages[key][1]:.2f}; "
-            f"our seeds' averages {', '.join(f'{x:.2f}' for x in seeds.mean())}"
-        )
+        averages = ", ".join(f"{x:.2f}" for x in ours(task, algorithm, "shared").mean())
+        print(f"{beside_the_paper(task, algorithm)}; our seeds' averages {averages}")
 
 
 def words() -> None:
