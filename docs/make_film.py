@@ -1,4 +1,5 @@
-"""Makes docs/films/<task>-<algorithm>.webp, and its line in docs/films/films.csv, from a run that is complete.
+"""Makes docs/films/<task>-<algorithm>.webp, and its line in docs/films/films.csv, from a run that is complete
+or from a team in benchmark/teams.
 
 python docs/make_film.py <run directory> ...
 """
