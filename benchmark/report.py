@@ -40,6 +40,7 @@ from reporting.results import (
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
+    family,
     in_tables,
     load,
     our_cells,
@@ -51,6 +52,7 @@ from reporting.search import search_report
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
 FILE = {True: "shared", False: "independent"}
+AGREEING = {"average_return": "average returns", "max_return": "maximum returns"}  # what is counted
 
 
 class Report:
@@ -70,10 +72,10 @@ class Report:
     def figures(self) -> dict[str, Callable[[], Figure]]:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
-        for family in FAMILIES:
+        for group in FAMILIES:
             for sharing, name in FILE.items():
-                if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
-                    made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
+                if ((self.shown["family"] == group) & (self.shown["sharing"] == sharing)).any():
+                    made[f"curves-{group}-{name}"] = partial(plots.learning_curves, self.shown, group, sharing)
         for sharing, name in FILE.items():
             if (self.normalised["sharing"] == sharing).any():
                 made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
@@ -91,13 +93,25 @@ class Report:
         if self.compared.empty:
             return "None of our values is of one of the paper's tasks with its budget and flags."
         sentences = []
-        for metric, name in (("average_return", "average returns"), ("max_return", "maximum returns")):
+        for metric, name in AGREEING.items():
             differences = self.compared.loc[self.compared["metric"] == metric, "difference"]
             sentences.append(f"{(differences.abs() <= 1).sum()} of {len(differences)} {name}")
         return (
             f"Of our values with the paper's budget, with and without sharing, {' and '.join(sentences)} are no "
             "further from the paper's than both intervals together."
         )
+
+    def agreement_table(self) -> str:
+        """How many of our values agree with the paper's, by family and sharing."""
+        families = self.compared["task"].map(family)
+        body = []
+        for name, title in FAMILIES.items():
+            for sharing, words in plots.SHARING.items():
+                cells = self.compared[(families == name) & (self.compared["sharing"] == sharing)]
+                distances = [cells.loc[cells["metric"] == metric, "difference"].abs() for metric in AGREEING]
+                if len(cells):
+                    body.append([f"{title}, {words}", *(f"{(each <= 1).sum()} of {len(each)}" for each in distances)])
+        return tables.to_markdown(["", *AGREEING.values()], body)
 
     def differences(self) -> str:
         """The cells that are further from the paper's than both intervals together."""
@@ -185,18 +199,25 @@ class Report:
             body.append([task, *("-" if np.isnan(value) else f"{value:,.0f}" for value in values)])
         return tables.to_markdown(["task", *columns], body)
 
-    def claims_table(self) -> tuple[str, int]:
-        """The paper's claims that our results say something of, judged by its own tables and by them; and the number
-        of the others."""
+    def claims_table(self) -> tuple[str, str]:
+        """The paper's claims that our results say something of, judged by its own tables and by them; and a sentence
+        with the number of each verdict."""
+        verdicts = claims.judge(self.ours)
         body = [
             [place, sentence, paper.verdict, ours.verdict, ours.figures]
-            for (place, sentence, _), paper, ours in zip(
-                claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours)
-            )
+            for (place, sentence, _), paper, ours in zip(claims.CLAIMS, claims.judge(self.paper), verdicts)
             if ours.figures
         ]
         header = ["section", "claim", "by the paper's tables", "by our results", "our figures"]
-        return tables.to_markdown(header, body) if body else "", len(claims.CLAIMS) - len(body)
+        hold, fail, unknown = (
+            sum(each.verdict == verdict for each in verdicts)
+            for verdict in (claims.HOLDS, claims.FAILS, claims.UNKNOWN)
+        )
+        counts = (
+            f"Of the {len(verdicts)} claims {hold} hold by our results, {fail} do not, and {unknown} are not decided "
+            f"yet; {len(verdicts) - len(body)} of these have no figure at all."
+        )
+        return tables.to_markdown(header, body) if body else "", counts
 
     def long(self) -> str:
         """What stands in RESULTS.md."""
@@ -204,6 +225,8 @@ class Report:
         tasks = self.evaluations["task"].nunique()
         parts = ["# Results", "Made by `python benchmark/report.py`."]
         parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
+        if len(self.compared):
+            parts.append(self.agreement_table())
         parts += ["## Tables", tables.LEGEND]
         for metric, title in tables.TITLES.items():
             for sharing, words in plots.SHARING.items():
@@ -227,11 +250,9 @@ class Report:
             parts += ["## CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
             parts += ["## Simulation speed, environment steps per second on one core", self.speed_table()]
-        table, missing = self.claims_table()
+        table, counts = self.claims_table()
         if table:
-            parts += ["## The paper's claims", CLAIMS_WORDS, table]
-        if table and missing:
-            parts.append(f"{missing} of the {len(claims.CLAIMS)} claims are not measured at all yet.")
+            parts += ["## The paper's claims", CLAIMS_WORDS, counts, table]
         return paragraphs(parts)
 
     def short(self) -> str:
@@ -296,7 +317,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
     chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
     if chosen.empty:
         raise ValueError("marl-eval's file is made of runs with default flags, and there are none.")
-    for (family, task, algorithm, sharing, seed), run in chosen.groupby(
+    for (group, task, algorithm, sharing, seed), run in chosen.groupby(
         ["family", "task", "algorithm", "sharing", "seed"], sort=False
     ):
         steps = {
@@ -308,7 +329,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
             for row in run.itertuples()
         }
         steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
-        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
+        runs = made.setdefault(group, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
         runs[f"seed_{seed}"] = steps
     return made
 

@@ -221,12 +221,13 @@ class DataList(Directive):
 
 
 class ReportText(Directive):
-    """A sentence or a table that report.py writes: agreement, disagreements or cpu-hours, by the directive's name."""
+    """A sentence or a table that report.py writes, by the directive's name."""
 
     def run(self) -> list[nodes.Node]:
         report = results_data.report()
         text = {
             "agreement": report.agreement,
+            "agreement-by-family": report.agreement_table,
             "disagreements": report.differences,
             "cpu-hours": lambda: f"{report.cpu_table()}\n\n{report.cpu_sentence()}",
             "speeds": report.speed_table,
@@ -332,7 +333,7 @@ def setup(app: Sphinx) -> dict:
     app.add_directive("data-list", DataList)
     app.add_directive("figure-of-report", FigureOfReport)
     app.add_directive("explorer", Explorer)
-    for name in ("agreement", "disagreements", "cpu-hours", "speeds", "legend", "across-tasks"):
+    for name in ("agreement", "agreement-by-family", "disagreements", "cpu-hours", "speeds", "legend", "across-tasks"):
         app.add_directive(name, ReportText)
     app.connect("html-page-context", add_explorer)
     app.connect("build-finished", write_files)
