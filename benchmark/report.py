@@ -20,6 +20,7 @@ import argparse
 import hashlib
 import json
 import textwrap
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -40,13 +41,13 @@ from reporting.results import (
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
-    family,
     in_tables,
     load,
     our_cells,
     paper_cells,
     speeds,
 )
+from reporting.results import family as family_of
 from reporting.search import search_report
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
@@ -72,10 +73,10 @@ class Report:
     def figures(self) -> dict[str, Callable[[], Figure]]:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
-        for group in FAMILIES:
+        for family in FAMILIES:
             for sharing, name in FILE.items():
-                if ((self.shown["family"] == group) & (self.shown["sharing"] == sharing)).any():
-                    made[f"curves-{group}-{name}"] = partial(plots.learning_curves, self.shown, group, sharing)
+                if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
+                    made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
         for sharing, name in FILE.items():
             if (self.normalised["sharing"] == sharing).any():
                 made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
@@ -103,7 +104,7 @@ class Report:
 
     def agreement_table(self) -> str:
         """How many of our values agree with the paper's, by family and sharing."""
-        families = self.compared["task"].map(family)
+        families = self.compared["task"].map(family_of)
         body = []
         for name, title in FAMILIES.items():
             for sharing, words in plots.SHARING.items():
@@ -209,13 +210,11 @@ class Report:
             if ours.figures
         ]
         header = ["section", "claim", "by the paper's tables", "by our results", "our figures"]
-        hold, fail, unknown = (
-            sum(each.verdict == verdict for each in verdicts)
-            for verdict in (claims.HOLDS, claims.FAILS, claims.UNKNOWN)
-        )
+        number = Counter(each.verdict for each in verdicts)
         counts = (
-            f"Of the {len(verdicts)} claims {hold} hold by our results, {fail} do not, and {unknown} are not decided "
-            f"yet; {len(verdicts) - len(body)} of these have no figure at all."
+            f"Of the {len(verdicts)} claims {number[claims.HOLDS]} hold by our results, {number[claims.FAILS]} do not, "
+            f"and {number[claims.UNKNOWN]} are not decided yet; {len(verdicts) - len(body)} of these have no figure at "
+            "all."
         )
         return tables.to_markdown(header, body) if body else "", counts
 
@@ -317,7 +316,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
     chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
     if chosen.empty:
         raise ValueError("marl-eval's file is made of runs with default flags, and there are none.")
-    for (group, task, algorithm, sharing, seed), run in chosen.groupby(
+    for (family, task, algorithm, sharing, seed), run in chosen.groupby(
         ["family", "task", "algorithm", "sharing", "seed"], sort=False
     ):
         steps = {
@@ -329,7 +328,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
             for row in run.itertuples()
         }
         steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
-        runs = made.setdefault(group, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
+        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
         runs[f"seed_{seed}"] = steps
     return made
 

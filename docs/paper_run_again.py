@@ -2,7 +2,7 @@
 
     python docs/paper_run_again.py opponents
 
-The parts are length, climbing, untrained, impossible, padding, standardised, opponents and words.
+The parts are length, climbing, untrained, impossible, padding, standardised, opponents, words and parted.
 
 A test holds the page's figures against what this prints.
 """
@@ -163,8 +163,20 @@ def standardised() -> None:
         )
 
 
+def parted() -> None:
+    """The claims that the paper's tables support and our results do not, with the figures of both."""
+    sys.path.insert(0, str(BENCHMARK))
+    from reporting import claims
+    from reporting.results import RESULTS, load, our_cells, paper_cells
+
+    both = zip(claims.CLAIMS, claims.judge(paper_cells()), claims.judge(our_cells(load(RESULTS))))
+    for (_, sentence, _), theirs, here in both:
+        if (theirs.verdict, here.verdict) == (claims.HOLDS, claims.FAILS):
+            print(f"{sentence}\n  the paper: {theirs.figures}\n  ours: {here.figures}")
+
+
 PARTS: dict[str, Callable[[], None]] = {
-    f.__name__: f for f in (length, climbing, untrained, impossible, padding, standardised, opponents, words)
+    f.__name__: f for f in (length, climbing, untrained, impossible, padding, standardised, opponents, words, parted)
 }
 
 if __name__ == "__main__":
