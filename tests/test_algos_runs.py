@@ -20,13 +20,15 @@ import numpy as np
 import pytest
 import torch
 from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script
+from scripts import main as script_main
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from envs import fast_mkl, runs
+from envs import runs
 from envs.families import lbf, matrix
+from envs.runs import fast_mkl
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
-SHORT += ["--reward-standardisation", "running", "--network", "gru"]
+SHORT += ["--reward-standardisation", "--network", "gru"]
 STEPS = {name: 5000 if name in ON_POLICY else 3000 for name in NAMES}
 WRITTEN = ["checkpoint.previous.pt", "checkpoint.pt", "config.json", "evaluations.csv"]
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -63,7 +65,7 @@ def main(monkeypatch, capsys, name, *flags):
         signal.signal(number, signal.SIG_DFL)  # tests in the background may ignore some of them
     code: object = 0
     try:
-        script(name).main()
+        script_main(name)
     except SystemExit as end:
         code = end.code
     finally:
@@ -212,7 +214,7 @@ def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
 
 def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGINT):
     """Begins a short run, or goes on with it, and stops it by a signal when so many batches have been collected."""
-    module, log, left = script(name), runs.Log.batch, iter(range(batches - 1, -1, -1))
+    log, left = runs.Log.batch, iter(range(batches - 1, -1, -1))
 
     def stop(self, *args):
         log(self, *args)
@@ -220,7 +222,7 @@ def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGI
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module.runs.Log, "batch", stop)
+        patch.setattr(runs.Log, "batch", stop)
         code, said = main(patch, capsys, name, *short(name), "--run-dir", directory, "--resume")
     assert "--resume goes on" in said
     return code
@@ -278,7 +280,7 @@ def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tm
 
     with monkeypatch.context() as patch, pytest.raises(KeyError):
         patch.setattr(runs.directory, "SAVE_SECONDS", 0)
-        patch.setattr(script(name).runs.Log, "batch", end)
+        patch.setattr(runs.Log, "batch", end)
         main(patch, capsys, name, *short(name), "--run-dir", tmp_path / "run")
     assert runs.read_checkpoint(tmp_path / "run", name)["episode"] == 8
     assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
@@ -665,7 +667,7 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     copy = copy_of(directory, tmp_path / "run")
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(copy), "--eval-episodes", "3"])
-    script(name).main()
+    script_main(name)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and "episode_length" in said[0]
     assert said[1] == f"film: {copy / 'film.gif'}"
@@ -678,7 +680,7 @@ def test_watching_where_nothing_can_be_written(mappo_run, monkeypatch, capsys, t
     copy = copy_of(mappo_run[1], tmp_path / "run")
     (copy / "film.gif").mkdir()
     monkeypatch.setattr(sys, "argv", ["mappo.py", "--watch", str(copy), "--eval-episodes", "3"])
-    script("mappo").main()
+    script_main("mappo")
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and said[1].startswith("There is no place for the film: [Errno")
 
@@ -702,7 +704,7 @@ def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatc
     monkeypatch.setattr(envs, "film", film_of_a_fresh_team)
     monkeypatch.setattr(lbf.Env, "frame", frame)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(copy), "--eval-episodes", "3", "--seed", "5"])
-    script(name).main()
+    script_main(name)
     assert f"return_mean {returns.mean():.3f}, return_std {returns.std():.3f}," in capsys.readouterr().out
 
 
@@ -713,7 +715,7 @@ def test_the_loaded_team_plays_like_the_last_evaluation(finished):
     module, last = script(name), evaluations(directory)[-1]
     seed = int(np.random.SeedSequence([0, int(last["point"])]).generate_state(1)[0])
     torch.set_num_threads(1)
-    results = module.evaluate(envs.make("lbf-5x5-2p-1f", 20), module.load(directory, seed), seed)
+    results = runs.evaluate(envs.make("lbf-5x5-2p-1f", 20), module.load(directory, seed), seed)
     assert {key: str(value) for key, value in results.items()} == {key: last[key] for key in results}
 
 

@@ -27,7 +27,7 @@ import report
 import time_stepping
 import time_training
 import train_opponents
-from envs import fast_mkl
+from envs.runs import fast_mkl
 from reporting import aggregate, claims, plots, results, tables
 
 BENCHMARK = ROOT / "benchmark"

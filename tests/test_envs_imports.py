@@ -23,8 +23,8 @@ ALLOWED = {
     "tasks.py": ("envs.families", "envs.vector"),
     "adapters": ("envs.adapters", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.vector",),
-    "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.tasks", "envs.vector", "envs.render"),
-    "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", "envs.make", "envs.optional", "envs.VectorEnv"),
+    "__init__.py": ("envs.adapters", "envs.tasks", "envs.vector", "envs.render"),
+    "runs": ("envs.runs", "envs.tasks", "envs.vector", "envs.make", "envs.optional", "envs.VectorEnv", "envs.film"),
 }
 
 

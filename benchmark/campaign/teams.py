@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-import envs  # isort: skip (before PyTorch, as in the scripts)
+import envs  # isort: skip
 import pandas as pd
 import torch
 
