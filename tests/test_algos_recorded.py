@@ -47,7 +47,8 @@ class Recording:
 def make_args(module, recording):
     """The recorded flags; what else stands beside them is no flag of a script."""
     others = {"algorithm", "epymarl_commit", "first_update", "state"}
-    return module.Args(**{flag: value for flag, value in recording.flags.items() if flag not in others})
+    flags = {flag: value for flag, value in recording.flags.items() if flag not in others}
+    return module.Args(**flags | {"reward_standardisation": False})  # recorded as "none"
 
 
 def make_parts(module, args, recording):

@@ -206,8 +206,8 @@ def start_from(directory: str, algorithm: str, parts: Mapping[str, Any]) -> None
         for weights in ours | theirs:
             if ours.get(weights) != theirs.get(weights):
                 raise InputError(
-                    f"--start-from: {source} of {directory} does not fit: {weights} has the shape "
-                    f"{theirs.get(weights, 'of nothing')} there and {ours.get(weights, 'of nothing')} here."
+                    f"--start-from: {source} of {directory} does not fit: the shape of {weights} is "
+                    f"{theirs.get(weights, 'none')} there and {ours.get(weights, 'none')} here."
                 )
         part.load_state_dict(saved[source])
 
