@@ -174,7 +174,7 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     make, run = runs.make_for, runs.Run
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
-        env = make(*args, **kwargs)
+        env: Any = make(*args, **kwargs)
         env.step = timed(env.step, parts, "step", timer)
         return env
 

@@ -553,7 +553,7 @@ def test_updates_and_checkpoints_of_a_run(monkeypatch, tmp_path, name):
 
     monkeypatch.setattr(module, "update", noted)
     monkeypatch.setattr(runs.Run, "save", noted_save)
-    flags = ["--env", "matrix-climbing", "--batch-size", 4, "--buffer-size", 11, "--hidden-dim", 8]
+    flags: list = ["--env", "matrix-climbing", "--batch-size", 4, "--buffer-size", 11, "--hidden-dim", 8]
     flags += ["--total-timesteps", 9 * 25, "--eval-points", 1, "--eval-episodes", 1, "--run-dir", tmp_path / "run"]
     monkeypatch.setattr(runs.run, "StopSignals", lambda: SimpleNamespace(received=None))
     module.train(parse(name, flags))
@@ -625,7 +625,7 @@ class TestMaddpg:
         args = module.Args(max_grad_norm=1e9, actor_regularisation=regularisation)
         n_agents, n_actions = logits.shape
         agents, critic = FixedPolicies(logits), LinearCritics(weights)
-        parts = {"agents": agents, "critic": critic}
+        parts: dict = {"agents": agents, "critic": critic}
         parts |= {"target_agents": FixedPolicies(logits), "target_critic": LinearCritics(weights)}
         parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)

@@ -51,7 +51,8 @@ class Meeting(ParallelEnv):
 
     def step(self, actions: dict[str, int]) -> Any:
         self.steps += 1
-        seen, nothing = self.seen(), {agent: {} for agent in self.agents}
+        seen = self.seen()
+        nothing: dict[str, Any] = {agent: {} for agent in self.agents}
         rewards = {agent: float(actions["a"] == actions["b"]) for agent in self.agents}
         late = {agent: self.steps == 5 for agent in self.agents}
         if self.steps == 5:

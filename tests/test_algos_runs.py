@@ -753,11 +753,13 @@ def watched(monkeypatch, capsys, name, *flags):
 
 def test_another_task_is_played_where_the_networks_fit(mappo_run, monkeypatch, capsys, tmp_path):
     """The film and the results are of the task of the command line."""
-    copy, played = copy_of(mappo_run[1], tmp_path / "run"), []
-    make = runs.make_for
-    monkeypatch.setattr(
-        runs.run, "make_for", lambda args, *more, **also: played.append(args) or make(args, *more, **also)
-    )
+    copy, played, make = copy_of(mappo_run[1], tmp_path / "run"), [], runs.make_for
+
+    def noted(args, *more, **also):
+        played.append(args)
+        return make(args, *more, **also)
+
+    monkeypatch.setattr(runs.run, "make_for", noted)
     watch = ["--watch", copy, "--eval-episodes", 2]
     assert watched(monkeypatch, capsys, "mappo", *watch)[0] == 0
     assert watched(monkeypatch, capsys, "mappo", *watch, "--env", "lbf-6x6-2p-1f")[0] == 0
