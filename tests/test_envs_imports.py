@@ -19,11 +19,12 @@ FUNCTIONS = ("envs.VectorEnv", "envs.make", "envs.named_kwargs", "envs.optional"
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
     "vector.py": (),
+    "workers.py": ("envs.vector",),
     "render.py": ("envs.vector",),
-    "families": ("envs.families", "envs.vector", "envs.adapters.workers"),
+    "families": ("envs.families", "envs.vector", "envs.workers"),
     "pictures": ("envs.families", "envs.render"),
     "tasks.py": ("envs.families", "envs.vector"),
-    "adapters": ("envs.adapters", "envs.tasks", "envs.vector", "envs.make"),
+    "adapters": ("envs.adapters", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.vector",),
     "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
     "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", *FUNCTIONS),
