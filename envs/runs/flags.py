@@ -189,25 +189,25 @@ def check_flags(args: Any) -> None:
             raise InputError(f"{as_flag(name, value)}: the value must lie {bounds}.")
 
 
+def named_flags(args: Any) -> dict[str, Any]:
+    """A script's flags as results name them: what a file or a run holds counts, and not where it lies on a machine.
+
+    Raises InputError where --start-from names no run.
+    """
+    named = vars(args) | {"env_kwargs": envs.named_kwargs(args.env, args.env_kwargs)}
+    if named.get("start_from"):
+        named["start_from"] = identity(named["start_from"])
+    return named
+
+
 def changed_flags(args: Any, default: Any) -> dict[str, Any]:
     """The flags of a setting that differ from the default. Task, sharing and seed are named elsewhere.
 
     What is played stands first, then how, so that the names of directories do not depend on the order in Args.
     """
     named = OF_ONE_RUN | {"env", "parameter_sharing"}
-    ordered = sorted(all_flags(args).items(), key=lambda flag: flag[0] not in OF_THE_TASK)
+    ordered = sorted(named_flags(args).items(), key=lambda flag: flag[0] not in OF_THE_TASK)
     return {name: value for name, value in ordered if name not in named and value != getattr(default, name)}
-
-
-def all_flags(args: Any) -> dict[str, Any]:
-    """The flags as config.json has them: --start-from names a run by what it is, since directories are of one machine.
-
-    Raises InputError where --start-from names no run.
-    """
-    flags = dict(vars(args))
-    if flags.get("start_from"):
-        flags["start_from"] = identity(flags["start_from"])
-    return flags
 
 
 def identity(directory: str | os.PathLike[str]) -> str:
