@@ -63,6 +63,7 @@ class Args:
     run_dir: str = ""
     resume: bool = False
     watch: str = ""
+    env_kwargs: str = ""
 
 
 def paper_defaults(env="", parameter_sharing=True):
