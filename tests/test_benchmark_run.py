@@ -63,6 +63,7 @@ class Args:
     run_dir: str = ""
     resume: bool = False
     watch: str = ""
+    greedy: bool = False
     env_kwargs: str = ""
 
 
