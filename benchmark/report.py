@@ -121,8 +121,9 @@ class Report:
         trivial = self.compared["metric"].isin(agreement.METRICS) & agreement.is_trivial(self.compared)
         words = [AGREEMENT_WORDS, f"Left out are {trivial.sum()} cells in which both intervals are printed as 0.00."]
         if len(single):
-            middle = (single["bias"] / single["paper_interval"]).median()
-            words.append(MAXIMA_WORDS + f" The median of this surplus is {middle:.1f} of the paper's interval.")
+            surplus = (single["bias"] / single["paper_interval"]).groupby(single["family"]).median()
+            middle = ", ".join(f"{surplus[name]:.1f} in {FAMILIES[name]}" for name in FAMILIES if name in surplus)
+            words.append(f"{MAXIMA_WORDS} Its median, in units of the paper's interval: {middle}.")
         return "\n\n".join([*parts, *map(fill, words)])
 
     def differences(self) -> str:
@@ -213,21 +214,25 @@ class Report:
             body.append([task, *("-" if np.isnan(value) else f"{value:,.0f}" for value in values)])
         return tables.to_markdown(["task", *columns], body)
 
+    def verdicts(self) -> list[tuple[claims.Claim, claims.Verdict, claims.Verdict]]:
+        """The paper's claims, judged by its own tables and by our results."""
+        hours = aggregate.hours_of_cells(self.shown)
+        return [*zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours, hours))]
+
     def claims_table(self) -> tuple[str, str]:
-        """The paper's claims that our results say something of, judged by its own tables and by them; and a sentence
-        with the number of each verdict."""
-        verdicts = claims.judge(self.ours)
+        """The claims that our results say something of; and a sentence with the number of each verdict."""
+        verdicts = self.verdicts()
         body = [
-            [place, sentence, paper.verdict, ours.verdict, ours.figures]
-            for (place, sentence, _), paper, ours in zip(claims.CLAIMS, claims.judge(self.paper), verdicts)
+            [claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on]
+            for claim, paper, ours in verdicts
             if ours.figures
         ]
-        header = ["section", "claim", "by the paper's tables", "by our results", "our figures"]
-        number = Counter(each.verdict for each in verdicts)
+        header = ["section", "claim", "by the paper's tables", "by our results", "our figures", "rests on"]
+        number = Counter(ours.verdict for _, _, ours in verdicts)
         counts = (
             f"Of the {len(verdicts)} claims {number[claims.HOLDS]} hold by our results, {number[claims.FAILS]} do not, "
-            f"and {number[claims.UNKNOWN]} are not decided yet; {len(verdicts) - len(body)} of these have no figure at "
-            "all."
+            f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured; "
+            f"{len(verdicts) - len(body)} of these have no figure at all."
         )
         return tables.to_markdown(header, body) if body else "", counts
 
@@ -318,9 +323,12 @@ were run on different tasks do not compare in the first table."""
 
 
 CLAIMS_WORDS = """\
-Of the paper's sections 5 and 6, by maximum returns with sharing unless a sentence says otherwise. The head of
-`benchmark/reporting/claims.py` says what "significantly", "similar", "competitive" and "majority" mean here. By these
-meanings some of the sentences do not hold in the paper's own tables."""
+A selection of what the paper's sections 5 and 6 say, by maximum returns with sharing unless a sentence says otherwise;
+in brackets how a sentence is read here. The head of `benchmark/reporting/claims.py` says what the words mean, and
+`benchmark/paper/claims.csv` what must hold. By these meanings some of the sentences do not hold in the paper's own
+tables. Too close to call: the cells with fewer than five seeds were completed to five 400 times, with the spread of the
+paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
+cells a verdict rests, and what one seed more of each would cost."""
 
 
 def paragraphs(parts: list[str]) -> str:

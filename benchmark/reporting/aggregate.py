@@ -107,3 +107,10 @@ def cpu_hours(evaluations: pd.DataFrame) -> pd.DataFrame:
     chosen = evaluations[(evaluations["setting"] == PAPER_SETTING) | has_paper_setting(evaluations)]
     runs = chosen.groupby(["family", *KEY, "seed"])["cpu_seconds"].max() / 3600
     return runs.groupby(["family", "algorithm", "sharing"]).agg(runs="count", total="sum", mean="mean")
+
+
+def hours_of_cells(evaluations: pd.DataFrame) -> dict[tuple[bool, str, str], float]:
+    """Mean CPU hours of a run by sharing, the paper's task and algorithm; evaluations of the tables."""
+    runs = evaluations.groupby(["sharing", "task", "algorithm", "seed"])["cpu_seconds"].max() / 3600
+    means = runs.groupby(["sharing", "task", "algorithm"]).mean()
+    return {(sharing, paper_task(task), algorithm): mean for (sharing, task, algorithm), mean in means.items()}

@@ -39,15 +39,19 @@ KNOWN_CAUSES = {
 }
 
 
-def half_width(interval: Any, seeds: Any, paper_interval: Any) -> Any:
-    """Of the prediction interval of the difference of two means. Intervals as the tables have them, 2 s / sqrt(n); that
-    of a single seed is not used."""
+def spread(interval: Any, seeds: Any, paper_interval: Any) -> Any:
+    """The standard deviation over seeds. Intervals as the tables have them, 2 s / sqrt(n); that of a single seed is not
+    used, and may be NaN."""
     seeds = np.asarray(seeds)
     theirs = np.maximum(paper_interval, PRINTED_ZERO) * np.sqrt(PAPER_SEEDS) / 2
     ours = np.where(seeds > 1, interval, 0) * np.sqrt(seeds) / 2
-    freedom = seeds + PAPER_SEEDS - 2
-    deviation = np.sqrt(((seeds - 1) * ours**2 + (PAPER_SEEDS - 1) * theirs**2) / freedom)
-    return t.ppf(1 - LEVEL / 2, freedom) * deviation * np.sqrt(1 / seeds + 1 / PAPER_SEEDS)
+    return np.sqrt(((seeds - 1) * ours**2 + (PAPER_SEEDS - 1) * theirs**2) / (seeds + PAPER_SEEDS - 2))
+
+
+def half_width(interval: Any, seeds: Any, paper_interval: Any) -> Any:
+    """Of the prediction interval of the difference between our mean of so many seeds and the paper's."""
+    deviation = spread(interval, seeds, paper_interval)
+    return t.ppf(1 - LEVEL / 2, seeds + PAPER_SEEDS - 2) * deviation * np.sqrt(1 / seeds + 1 / PAPER_SEEDS)
 
 
 def false_alarms(seeds: int, interval: float) -> float:

@@ -40,7 +40,7 @@ PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
 # In these tasks the paper's teams played against trained networks of its own. Its rows are compared with runs against
 # those, which have this fingerprint; runs against our own opponents have tables of their own.
-PAPER_OPPONENTS = {"mpe-adversary": "0000000000000000", "mpe-tag": "0000000000000000"}
+PAPER_OPPONENTS = {"mpe-adversary": "915a50e2ce129bc1", "mpe-tag": "ab8fed43e248e85a"}
 KEY = ["task", "algorithm", "sharing", "setting"]
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
 SPEED_COLUMNS = ["task", "whose", "steps_per_second", "processor", "commit"]
@@ -302,7 +302,8 @@ def in_tables(evaluations: pd.DataFrame, own_opponent: bool = False) -> pd.DataF
     changed = [json.loads(setting) for setting in budgets["setting"]]
     other_budget = [bool(flags.pop("total_timesteps", 0)) for flags in changed]
     expected = [{} if own_opponent else paper_setting(task) for task in budgets["task"]]
-    budgets = budgets.assign(other_budget=other_budget)[[flags == its for flags, its in zip(changed, expected)]]
+    budgets = budgets.assign(other_budget=other_budget)
+    budgets = budgets[np.array([flags == its for flags, its in zip(changed, expected)], bool)]
     budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
     chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
     return evaluations.merge(chosen, on=KEY)
