@@ -27,7 +27,7 @@ sys.path[:0] = [str(BENCHMARK), str(ROOT / "tests")]
 
 from report import Report  # noqa: E402
 from reporting import agreement, claims  # noqa: E402
-from reporting.results import FAMILIES, RESULTS, family, interval, paper_cells  # noqa: E402
+from reporting.results import FAMILIES, RESULTS, interval, paper_cells  # noqa: E402
 
 ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
 OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
@@ -234,10 +234,9 @@ def opponents() -> None:
 
 def probes(files: Iterable[str] = ()) -> None:
     """What scripted teams earn against the opponents of this repository, or against the networks in these files."""
+    import envs
     import train_opponents
     from envs.families import mpe
-
-    import envs
 
     networks = [*files] or [mpe.OPPONENTS / f"{task}.npz" for task in TRAINED_AGAINST]
     for task, network in zip(TRAINED_AGAINST, networks):

@@ -1,6 +1,7 @@
 """All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
 
 import json
+import shlex
 import sys
 from functools import lru_cache
 from pathlib import Path
@@ -106,7 +107,7 @@ def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int
         words.append("--sharing independent")
     if changed:
         words.append("--")
-        words += [f"--{name.replace('_', '-')} {value}" for name, value in sorted(changed.items())]
+        words += [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in sorted(changed.items())]
     return " ".join(words)
 
 
