@@ -190,7 +190,8 @@ def check_script(path: Path, algorithm: str, script: str | None, origins: Iterab
 def load(results: Path = RESULTS) -> pd.DataFrame:
     """All evaluations, a row for each task, algorithm, sharing, setting, seed and point.
 
-    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets.
+    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets; commit is
+    that of the seed's run, in this repository.
     Statistics that a family has beyond the return are columns of their own, NaN elsewhere.
     """
     tables = []
@@ -207,6 +208,7 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
             "setting": setting_name(settings["changed"]),
             "total_timesteps": flags["total_timesteps"],
             "paper_timesteps": settings["paper_timesteps"],
+            "commit": table["seed"].map(lambda seed, of=settings["seeds"]: of[str(seed)].get("commit")),
         }
         tables.append(table.assign(**columns))
     if not tables:
