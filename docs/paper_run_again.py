@@ -23,7 +23,7 @@ from scipy.stats import ttest_ind_from_stats
 
 ROOT = Path(__file__).resolve().parents[1]
 BENCHMARK = ROOT / "benchmark"
-sys.path[:0] = [str(BENCHMARK), str(ROOT / "tests")]
+sys.path[:0] = [str(BENCHMARK), str(ROOT / "tests"), str(ROOT / "examples")]
 
 from report import Report  # noqa: E402
 from reporting import agreement, claims  # noqa: E402
@@ -77,7 +77,7 @@ def seeds() -> None:
 
 def updates() -> None:
     """How near the scripts' updates are to those recorded with EPyMARL: the bounds of the tests."""
-    from test_algos_recorded import TOLERANCES
+    from check_exercise import TOLERANCES
 
     for name, (weights, losses) in TOLERANCES.items():
         with np.load(ROOT / "tests/data/updates" / f"{name}.npz") as file:
