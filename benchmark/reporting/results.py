@@ -190,9 +190,9 @@ def check_script(path: Path, algorithm: str, script: str | None, origins: Iterab
 def load(results: Path = RESULTS) -> pd.DataFrame:
     """All evaluations, a row for each task, algorithm, sharing, setting, seed and point.
 
-    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets; commit is
-    that of the seed's run, in this repository.
-    Statistics that a family has beyond the return are columns of their own, NaN elsewhere.
+    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets; commit
+    is that with which the seed was run. Statistics that a family has beyond the return are columns of their own, NaN
+    elsewhere.
     """
     tables = []
     for file in sorted(results.glob("*/*.json")):
