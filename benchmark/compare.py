@@ -116,7 +116,8 @@ class Comparison:
             )
         commits = self.evaluations.groupby("algorithm", sort=False)["commit"].unique()
         made = [f"{name}: {', '.join(str(commit)[:10] for commit in commits[name])}" for name in self.names]
-        tests = f"{len(self.groups)} comparisons, each at the level {self.level:.2g}" if len(self.groups) > 1 else "one"
+        number = len(self.groups)
+        tests = f"{number} comparisons, each at the level {self.level:.2g}" if number > 1 else "one comparison"
         parts = [
             f"# {mine} and {other}",
             "\n".join(claims),
@@ -124,8 +125,8 @@ class Comparison:
             "\n".join(lines),
             "Average return: the mean over all evaluations of a run. Intervals are Student's, 95 %, over seeds; in the "
             "figure as bands, with a thin line for each seed. The difference is tested by Student's t-test of two "
-            f"samples with equal variances ({tests}). It was chosen before the runs: who takes the measure that comes "
-            "out best afterwards has made more comparisons than this page counts.",
+            f"samples with equal variances ({tests}). Decide on the measure before the runs: who takes the one "
+            "that comes out best afterwards has made more comparisons than this page counts.",
             f"Commits of the runs: {'; '.join(made)}.",
         ]
         return "\n\n".join(parts) + "\n"

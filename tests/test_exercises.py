@@ -1,8 +1,13 @@
 """The exercises: wrong files are found by their check, in words, and the solutions do what the pages say."""
 
+import re
+import shlex
+import shutil
+import subprocess
 import sys
 from typing import Any
 
+import pandas as pd
 import pytest
 from scripts import ROOT, load_module
 
@@ -76,3 +81,91 @@ def test_what_differs_first_is_said(checked, tmp_path):
     assert code == 1 and "has no attribute 'Mixer'" in said
     code, said = checked("qmix", tmp_path / "nothing.py")
     assert code == 2 and said == f"check_exercise: {tmp_path / 'nothing.py'} is no Python file.\n"
+
+
+# --- the page ---
+PAGE = (ROOT / "docs/exercises/index.md").read_text(encoding="utf-8")
+
+
+def task(number):
+    """A task's text, its solution included."""
+    return re.split(r"(?m)^## \d+\. ", PAGE)[number]
+
+
+def blocks(number, language):
+    return re.findall(rf"(?ms)^```{language}\n(.*?)^```", task(number))
+
+
+def run(words, folder):
+    """What a command says that must succeed."""
+    words = [sys.executable if word == "python" else word for word in words]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_there_are_ten_tasks_with_all_that_belongs_to_them():
+    assert len(re.findall(r"(?m)^## \d+\. ", PAGE)) == 10
+    for number in range(1, 11):
+        assert all(task(number).count(part) == 1 for part in ("*Book: ", "**Hand in**", "**Check", "<summary>"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number, original, algorithm", [(1, "iql", "vdn"), (2, "ia2c", "maa2c")])
+def test_a_diff_makes_another_algorithm(checked, tmp_path, number, original, algorithm):
+    replacements = []
+    for diff in blocks(number, "diff"):
+        lines = diff.splitlines(keepends=True)
+        old, new = ("".join(line[1:] for line in lines if line[0] != sign) for sign in "+-")
+        replacements.append((old, new))
+    path = changed(tmp_path / "mine.py", original)
+    code, said = checked(algorithm, path)
+    assert code == 1 and (number != 1 or "`loss/value` is" in said)
+    assert checked(algorithm, changed(path, original, *replacements)) == (
+        0,
+        f"{path}: collect is right, and 5 updates in 4 cases are those of EPyMARL's {algorithm.upper()}.\n",
+    )
+    run(["python", str(path), "--env", "lbf-5x5-2p-1f", "--total-timesteps", "900", "--run-dir", "x"], tmp_path)
+
+
+def test_the_baseline_changes_the_variance_alone():
+    [program] = blocks(4, "python")
+    said = run(["python", "-c", program], ROOT)
+    (mean, before), (same_mean, after) = re.findall("mean (.*), variance (.*)", said)
+    assert mean == same_mean
+    assert f"falls from {before} to {after}." in " ".join(task(4).split())
+
+
+def test_what_grows_with_the_number_of_agents():
+    [program] = blocks(5, "python")
+    found = re.findall(
+        r"(\d+) agents: (\d+) joint actions, parameters (\d+) shared, (\d+) not", run(["python", "-c", program], ROOT)
+    )
+    n, joint, shared, separate = zip(*(map(int, line) for line in found))
+    assert n == (2, 3, 4) and joint == (36, 216, 1296)
+    assert shared[2] < 1.05 * shared[0] and separate[2] > 1.9 * separate[0]
+
+
+@pytest.mark.slow
+def test_qmix_solves_the_two_step_game(tmp_path):
+    qmix, vdn = "".join(blocks(6, "bash")).splitlines()
+    iql = vdn.replace("vdn", "iql")
+    for command, expected in (qmix, 8), (vdn, 7), (iql, 7):
+        folder = tmp_path / command.split()[1].replace("/", "-")
+        run([*shlex.split(command), "--run-dir", str(folder)], ROOT)
+        assert pd.read_csv(folder / "evaluations.csv")["return_mean"].iloc[-1] == expected
+
+
+def test_the_search_says_what_the_solution_says():
+    [command] = blocks(7, "bash")
+    said = run(shlex.split(command), ROOT)
+    rewards = re.findall(r"(?m)^\| \d+ .*\| (True|False) \|", said)
+    assert rewards == ["True"] * 6 + ["False"] * 6 and "12 variants, 36 runs" in said
+
+
+def test_the_failure_is_filmed(tmp_path):
+    [command] = blocks(8, "bash")
+    *words, team = shlex.split(command)
+    shutil.copytree(ROOT / team, tmp_path / "team")
+    said = run([*words, str(tmp_path / "team")], ROOT)
+    assert said.startswith("return_mean 50.000,") and (tmp_path / "team/film.gif").exists()
