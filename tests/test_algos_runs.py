@@ -13,6 +13,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -128,7 +129,7 @@ def test_config_says_what_was_run(finished):
     name, directory = finished
     config = json.loads((directory / "config.json").read_text())
     assert config["algorithm"] == name and config["flags"]["env"] == "lbf-5x5-2p-1f"
-    assert config["versions"]["torch"] == torch.__version__ and config["version"] == "0.1.0"
+    assert config["versions"]["torch"] == torch.__version__ and config["version"] == version("marl-baselines")
     assert config["paper_timesteps"] == (20_000_000 if name in ON_POLICY else 2_000_000)
     changed = {"total_timesteps": STEPS[name], "hidden_dim": 32, "eval_points": 11}
     assert changed.items() <= config["changed"].items()
