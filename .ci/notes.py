@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def notes(tag: str) -> str:
-    """The section's text. Ends with one sentence where the tag is not the version of pyproject.toml, or has no section."""
+    """The section's text. Ends in a sentence where the tag is not the version of pyproject.toml, or has no section."""
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     if tag != f"v{version}":
         sys.exit(f"The tag is {tag}, but pyproject.toml says {version}.")
