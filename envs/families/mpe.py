@@ -57,11 +57,13 @@ adversary, both at the end; occupied_landmarks, those with an agent within 0.1 a
 Opponents: networks that benchmark/train_opponents.py has trained with the learning team in the paper's -selfplay task
 and that always take the most probable action. Like every agent, an opponent decides before it knows what the others do
 in the same step: it acts on the observation that the last step (or the reset) has left. mpe2-... has the same
-opponents, their moves translated. The files opponents/*.json say where they come from.
+opponents, their moves translated. The files opponents/*.json say where they come from. With
+env_kwargs="opponent='<file>'" the network in that file plays instead: an archive of NumPy arrays named as in `Network`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 from math import exp, log1p, sqrt
 from typing import Any, NamedTuple
@@ -450,10 +452,37 @@ class Network(NamedTuple):
     last_bias: NDArray[np.float32]
 
 
-def read_network(path: str | os.PathLike[str]) -> Network:
-    """The network in an archive that benchmark/train_opponents.py has written."""
-    with np.load(path) as arrays:
-        return Network(*(arrays[name] for name in Network._fields))
+def read_network(path: str | os.PathLike[str], scenario: str) -> Network:
+    """The network in an archive of six arrays, named as in `Network`, as benchmark/train_opponents.py writes it.
+
+    Raises InputError where the file is missing or damaged, and where the network does not fit the scenario's opponent.
+    """
+    try:
+        with np.load(path) as arrays:
+            network = Network(*(np.ascontiguousarray(arrays[name], np.float32) for name in Network._fields))
+    except FileNotFoundError:
+        raise vector.InputError(
+            f"there is no opponent's file {str(path)!r}. Results name a network by its contents, `env_kwargs` by its "
+            "file."
+        ) from None
+    except OSError as error:
+        raise vector.InputError(f"the opponent's file cannot be read: {error}.") from None
+    except Exception:  # NumPy and zipfile raise almost anything on a damaged file
+        raise vector.InputError(f"{str(path)!r} is not the file of an opponent's network, or is damaged.") from None
+    game, hidden = SCENARIOS[scenario], network.first_bias.shape
+    fitting = [(game.obs_size, *hidden), hidden, hidden * 2, hidden, (*hidden, 5), (5,)]
+    shapes = [array.shape for array in network]
+    if shapes != fitting or not all(np.isfinite(array).all() for array in network):
+        raise vector.InputError(
+            f"{str(path)!r} is no opponent for {scenario}: its network must be finite and lead from {game.obs_size} "
+            f"values to 5 actions over two equal hidden layers; its arrays are {', '.join(map(str, shapes))}."
+        )
+    return network
+
+
+def fingerprint(network: Network) -> str:
+    """16 hexadecimal digits that name a network by its weights, whatever file they come from."""
+    return hashlib.sha256(b"".join(array.tobytes() for array in network)).hexdigest()[:16]
 
 
 @compiled
@@ -604,6 +633,7 @@ class Env(vector.VectorEnv):
         """paper: the paper's game, else mpe2's. selfplay: the agents of team 1 learn too.
 
         opponent: the archive of the network that plays team 1 otherwise; None for the one that comes with this package.
+        Raises InputError for a file without such a network.
         """
         game = SCENARIOS[scenario]
         n_agents, team = len(game.teams), [i for i, number in enumerate(game.teams) if number == 0]
@@ -665,7 +695,7 @@ class Env(vector.VectorEnv):
         self._step_arguments = (*self._arguments, self.action_mask)
 
         if not all_learn:
-            network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
+            network = read_network(OPPONENTS / f"mpe-{scenario}.npz" if opponent is None else opponent, scenario)
             biases = (network.first_bias, network.core_bias, network.last_bias)
             first, core, last = (np.zeros_like(bias) for bias in biases)
             plays = (self.game.views, self.config.opponent, self.game.opponent_action)
