@@ -19,20 +19,24 @@ prints the variants of a search (`reporting/search.py`), the best first, and wri
 import argparse
 import hashlib
 import json
+import sys
 import textwrap
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from envs import runs
-from envs.runs import one_sentence
-from reporting import aggregate, claims, plots, tables
-from reporting.results import (
+from benchmark import claims, measures, plots, tables
+from benchmark.measures import in_tables, our_cells
+from benchmark.search_old import search_report
+from benchmark.store import (
     FAMILIES,
     HERE,
     KEY,
@@ -41,14 +45,13 @@ from reporting.results import (
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
-    in_tables,
     load,
-    our_cells,
     paper_cells,
     speeds,
 )
-from reporting.results import family as family_of
-from reporting.search import search_report
+from benchmark.store import family as family_of
+from envs import runs
+from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
@@ -65,8 +68,8 @@ class Report:
         self.ours, self.paper = our_cells(self.evaluations), paper_cells()
         self.both = tables.compare(self.ours, self.paper)
         self.compared = self.both[self.both["difference"].notna()]  # with the paper's
-        self.normalised = aggregate.normalise(self.evaluations)
-        self.hours = aggregate.cpu_hours(self.evaluations)
+        self.normalised = measures.normalise(self.evaluations)
+        self.hours = measures.cpu_hours(self.evaluations)
         self.speeds = speeds(results)
         self.digest = digest(results)
 
@@ -81,7 +84,7 @@ class Report:
             if (self.normalised["sharing"] == sharing).any():
                 made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
                 made[f"profiles-{name}"] = partial(plots.profiles, self.normalised, sharing)
-        if len(aggregate.sharing_means(self.ours)):
+        if len(measures.sharing_means(self.ours)):
             made["sharing"] = partial(plots.sharing_effect, self.ours, self.paper)
         if len(self.hours):
             made["cpu-hours"] = partial(plots.cpu_hours, self.hours)
@@ -138,21 +141,21 @@ class Report:
     def interquartile_means(self, sharing: bool) -> str:
         """By algorithm and family, with intervals where all tasks have several seeds; tasks and runs in brackets."""
         families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
-        scores = {name: aggregate.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
+        scores = {name: measures.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
         body = []
         for algorithm in algorithm_order(self.normalised["algorithm"]):
             cells = []
             for name in families:
                 tasks = list(scores[name].get((algorithm, sharing), {}).values())
                 numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
-                cells.append(score_text(aggregate.interquartile_mean, tasks) + numbers if tasks else "")
+                cells.append(score_text(measures.interquartile_mean, tasks) + numbers if tasks else "")
             if any(cells):
                 body.append([algorithm.upper(), *cells])
         return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
 
     def improvements(self, sharing: bool) -> str:
         """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
-        scores = aggregate.final_scores(self.normalised)
+        scores = measures.final_scores(self.normalised)
         present = algorithm_order(name for name, with_sharing in scores if with_sharing == sharing)
         body = []
         for name in present:
@@ -164,7 +167,7 @@ class Report:
                     cells.append("")
                     continue
                 pair = [ours[task] for task in common], [theirs[task] for task in common]
-                cells.append(score_text(aggregate.probability_of_improvement, *pair))
+                cells.append(score_text(measures.probability_of_improvement, *pair))
             body.append([name.upper(), *cells])
         return tables.to_markdown(["", *map(str.upper, present)], body) if body else ""
 
@@ -292,7 +295,7 @@ def paragraphs(parts: list[str]) -> str:
 
 def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> str:
     """A measure of one or two teams' scores, with its interval where all tasks have several seeds."""
-    value, low, high = aggregate.with_interval(measure, *teams)
+    value, low, high = measures.with_interval(measure, *teams)
     several = all(len(seeds) > 1 for team in teams for seeds in team)
     return f"{value:.2f} [{low:.2f}, {high:.2f}]" if several else f"{value:.2f}"
 

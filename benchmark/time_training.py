@@ -18,6 +18,7 @@ import multiprocessing
 import os
 import signal
 import statistics
+import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -28,11 +29,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from envs import runs  # isort: skip (before PyTorch, as in the scripts)
 import torch
 from torch import nn
 
-from campaign.scripts import load_script, script_names
+from benchmark.plan import load_script, script_names
 from envs import fast_mkl
 from envs.runs import one_sentence
 

@@ -167,7 +167,7 @@ def test_discs_on_one_spot_do_not_end_the_world() -> None:
 # The scale of the paper's returns
 # ---------------------------------------------------------------------------------------------------------------------
 
-opponents = load_module(ROOT / "benchmark" / "train_opponents.py")
+opponents = load_module(ROOT / "tools" / "train_opponents.py")
 
 
 def mean_return(name: str, act: Callable[[mpe.State, np.random.Generator], Any]) -> float:

@@ -1,23 +1,20 @@
 """All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
 
 import json
-import sys
 from functools import lru_cache
 from pathlib import Path
 
 import pandas as pd
 
+from benchmark import claims, measures, store, tables
+from benchmark.plots import COLOURS
+from benchmark.report import Report
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmark"))
-
-from report import Report  # noqa: E402
-from reporting import claims, results, tables  # noqa: E402
-from reporting.plots import COLOURS  # noqa: E402
-
-ALGORITHMS = results.ALGORITHMS
-FAMILIES = results.PAPER_FAMILIES
+ALGORITHMS = store.ALGORITHMS
+FAMILIES = store.PAPER_FAMILIES
 FIGURES = ROOT / "benchmark" / "figures"
-RESULTS = results.RESULTS
+RESULTS = store.RESULTS
 OTHER_COLOUR = "#666666"
 TITLES = tables.TITLES
 SHARING = {"shared": True, "independent": False}
@@ -38,7 +35,7 @@ def paper_tasks() -> list[str]:
 
 def family(task: str) -> str:
     """The paper's family of a task."""
-    return results.family(task)
+    return store.family(task)
 
 
 def colour(algorithm: str) -> str:
@@ -60,7 +57,7 @@ def curves() -> pd.DataFrame:
         deviation=("return_mean", "std"),
         seeds=("return_mean", "count"),
     )
-    return table.assign(interval=results.interval(table["deviation"], table["seeds"])).reset_index()
+    return table.assign(interval=measures.interval(table["deviation"], table["seeds"])).reset_index()
 
 
 def cells(metric: str) -> pd.DataFrame:
@@ -75,7 +72,7 @@ def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]
     table = report().paper
     chosen = table[table["metric"] == metric]
     known = {(row.task, row.algorithm, row.sharing): (row.mean, row.interval) for row in chosen.itertuples()}
-    ours = {results.paper_task(task): task for task in paper_tasks()}
+    ours = {store.paper_task(task): task for task in paper_tasks()}
     return {(ours[task], *key): value for (task, *key), value in known.items() if task in ours}
 
 
@@ -95,7 +92,8 @@ def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
         shown[["task", "algorithm", "sharing", "setting"]].drop_duplicates().itertuples(index=False, name=None)
     ):
         changed = json.loads(setting)
-        found[task, algorithm, sharing] = results.table_path(RESULTS, algorithm, task, sharing, changed), changed
+        path = store.table_path(RESULTS, algorithm, task, store.SHARING[sharing], changed)
+        found[task, algorithm, sharing] = path, changed
     return found
 
 

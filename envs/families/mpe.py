@@ -54,7 +54,7 @@ Statistics: goal_distance, of the listener or of the nearest good agent, and adv
 adversary, both at the end; occupied_landmarks, those with an agent within 0.1 at the end; contacts, the pairs of agents
 (in Tag: predators with the prey) that touch, added up over the steps.
 
-Opponents: networks that benchmark/train_opponents.py has trained with the learning team in the paper's -selfplay task
+Opponents: networks that tools/train_opponents.py has trained with the learning team in the paper's -selfplay task
 and that always take the most probable action. Like every agent, an opponent decides before it knows what the others do
 in the same step: it acts on the observation that the last step (or the reset) has left. mpe2-... has the same
 opponents, their moves translated. The files opponents/*.json say where they come from. With
@@ -453,7 +453,7 @@ class Network(NamedTuple):
 
 
 def read_network(path: str | os.PathLike[str], scenario: str) -> Network:
-    """The network in an archive of six arrays, named as in `Network`, as benchmark/train_opponents.py writes it.
+    """The network in an archive of six arrays, named as in `Network`, as tools/train_opponents.py writes it.
 
     Raises InputError where the file is missing or damaged, and where the network does not fit the scenario's opponent.
     """

@@ -1,7 +1,7 @@
 """Makes docs/films/<task>-<algorithm>.webp, and its line in docs/films/films.csv, from a run that is complete
 or from a team in benchmark/teams.
 
-python docs/make_film.py <run directory> ...
+python tools/films.py <run directory> ...
 """
 
 import argparse

@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
-from reporting.results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family, summarise
+from benchmark.measures import summarise
+from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family
 
 SIGNIFICANCE = 0.05
 PRECISION = 0.01  # of what the paper prints

@@ -33,9 +33,9 @@ import filelock
 import ray
 
 import envs
-from campaign import scripts
-from campaign.campaign import ClusterLost
-from campaign.plan import PlannedRun
+from benchmark import plan
+from benchmark.campaign import ClusterLost
+from benchmark.plan import PlannedRun
 from envs.runs import describe
 
 LOOK_SECONDS = 1.0  # between two looks at a run
@@ -184,7 +184,7 @@ def pack() -> bytes:
     """The scripts and environments of this checkout, as a zip file that is the same for the same files."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for folder, name in ((scripts.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
+        for folder, name in ((plan.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
             for path in sorted(folder.rglob("*")):
                 if path.is_file() and "__pycache__" not in path.parts:
                     archive.writestr(zipfile.ZipInfo(f"{name}/{path.relative_to(folder)}"), path.read_bytes())

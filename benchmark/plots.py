@@ -26,9 +26,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter
 from PIL import Image, PngImagePlugin
 
-from reporting import aggregate
-from reporting.results import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order, interval
-from reporting.tables import in_order
+from benchmark import measures
+from benchmark.measures import interval
+from benchmark.store import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order
+from benchmark.tables import in_order
 
 COLOURS = {
     "iql": "#999933",
@@ -206,7 +207,7 @@ def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
 
 def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
     """Normalised maximum returns with and without sharing by family, ours and the paper's, with standard errors."""
-    sides = {"ours": aggregate.sharing_means(ours), "paper": aggregate.sharing_means(paper)}
+    sides = {"ours": measures.sharing_means(ours), "paper": measures.sharing_means(paper)}
     families = [family for family in FAMILIES if family in sides["ours"].index]
     figure, (panel,) = panels(1, 1, "", "normalised maximum return")
     place = np.arange(len(families))
@@ -229,7 +230,7 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
 
 
 def cpu_hours(hours: pd.DataFrame) -> Figure:
-    """Mean CPU hours of a run by family, algorithm and sharing; hours from `aggregate.cpu_hours`."""
+    """Mean CPU hours of a run by family, algorithm and sharing; hours from `measures.cpu_hours`."""
     families = [family for family in FAMILIES if family in hours.index.get_level_values("family")]
     algorithms = algorithm_order([*ALGORITHMS, *hours.index.get_level_values("algorithm")])
     figure, axes = panels(len(families), 3, "", "CPU hours a run", share_y=True)
@@ -286,14 +287,14 @@ def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
     families = [family for family in FAMILIES if (chosen["family"] == family).any()]
     figure, axes = panels(len(families), 3, "normalised return", "share of runs")
     thresholds = np.linspace(0, 1, 101)
-    measure = aggregate.performance_profile(thresholds)
+    measure = measures.performance_profile(thresholds)
     for family, panel in zip(families, axes):
         rows = chosen[chosen["family"] == family]
-        scores = aggregate.final_scores(rows)
+        scores = measures.final_scores(rows)
         for algorithm in algorithm_order(name for name, _ in scores):
             look = style(algorithm)
             by_task = list(scores[algorithm, sharing].values())
-            share, low, high = aggregate.with_interval(measure, by_task)
+            share, low, high = measures.with_interval(measure, by_task)
             panel.step(thresholds, share, **look, lw=1.3)
             if min(map(len, by_task)) > 1:  # of a single seed no interval is known
                 panel.fill_between(thresholds, low, high, color=look["color"], alpha=0.15, lw=0, step="pre")

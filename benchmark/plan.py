@@ -1,41 +1,53 @@
-"""What a campaign is to run: the runs, the grids of flags, and what is there of a run already."""
+"""What a campaign is to run: scripts, tasks, the grids of flags, and the runs that they make together."""
 
 import csv
+import functools
+import importlib.util
 import itertools
 import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import envs
-from campaign import scripts
-from collect import NotComplete, read_run
-from envs.runs import changed_flags, parse_flags, run_path, script_hash
-from reporting.results import has_seed, read_json
+from benchmark import store
+from envs.runs import changed_flags, parse_flags, run_path
+from envs.runs.flags import as_flag
 
+ALGOS = Path(__file__).resolve().parents[1] / "algos"
 Flags = tuple[str, ...]
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
 OF_THIS_PROGRAM = ["env", "parameter_sharing", "seed", "run_dir", "resume", "watch"]  # flags that it gives itself
 
 
+def script_names() -> list[str]:
+    """The algorithms: what lies in algos/ and has flags, but no modules that only help such scripts."""
+    paths = sorted(path for path in ALGOS.glob("*.py") if not path.name.startswith("."))  # an editor's lock file
+    return [path.stem for path in paths if "\nclass Args" in path.read_text(encoding="utf-8")]
+
+
+def load_script(name: str) -> ModuleType:
+    """algos/<name>.py as a module, made anew."""
+    spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its flags and their help are looked for
+    spec.loader.exec_module(module)
+    return module
+
+
+script = functools.cache(load_script)  # the same module each time
+
+
 @dataclass(frozen=True)
-class PlannedRun:
-    """One run of a script.
+class PlannedRun(store.Run):
+    """One run of a script. flags: for the script, beyond task, seed and sharing."""
 
-    flags: for the script, beyond task, seed and sharing. changed: the flags that differ from the paper's, by name, as
-    the run's config.json has them. directory: where it is kept.
-    """
-
-    algorithm: str
-    task: str
-    sharing: bool
-    seed: int
     flags: Flags
-    changed: dict[str, Any]
     total_timesteps: int
-    directory: Path
 
     def __str__(self) -> str:
         return f"{self.directory.parent.parent.name} {self.directory.parent.name} seed {self.seed}"
@@ -46,8 +58,7 @@ class PlannedRun:
 
     def command(self) -> list[str]:
         """The command that begins the run in its directory, or goes on with what is there."""
-        script_file = str(scripts.ALGOS / f"{self.algorithm}.py")
-        return [sys.executable, script_file, *self.arguments(), "--run-dir", str(self.directory), "--resume"]
+        return [sys.executable, str(self.script), *self.arguments(), "--run-dir", str(self.directory), "--resume"]
 
     @property
     def log(self) -> Path:
@@ -55,14 +66,14 @@ class PlannedRun:
         return self.directory.with_name(f"log-{self.directory.name}.txt")
 
 
-def script_flags(task: str, sharing: bool, flags: Flags) -> list[str]:
+def script_flags(task: str, sharing: str, flags: Flags) -> list[str]:
     """The flags that decide what a script trains, but for the seed."""
-    return ["--env", task, "--parameter-sharing" if sharing else "--no-parameter-sharing", *flags]
+    return ["--env", task, as_flag("parameter_sharing", sharing == "shared"), *flags]
 
 
 def chosen_algorithms(words: list[str]) -> list[str]:
     """The scripts with these names; "all": every one. InputError for a name that is none."""
-    names = scripts.script_names()
+    names = script_names()
     for word in words:
         if word not in (*names, "all"):
             raise envs.InputError(f"unknown algorithm {word!r}; there are {', '.join(names)}.")
@@ -120,21 +131,16 @@ def variants(grid: list[GridLine], algorithm: str, family: str) -> Iterator[Flag
                 raise envs.InputError(f"the grid has two lines of {flag} for {algorithm} on tasks of {family}.")
             choices[flag] = line.values
     for values in itertools.product(*choices.values()):
-        yield tuple(word for flag, value in zip(choices, values) for word in written(flag, value))
-
-
-def written(flag: str, value: str) -> list[str]:
-    """A flag as one writes it on the command line."""
-    name = flag.replace("_", "-")
-    if value in ("true", "false"):
-        return [f"--{name}" if value == "true" else f"--no-{name}"]
-    return [f"--{name}", value]
+        flags = (
+            as_flag(flag, {"true": True, "false": False}.get(value, value)) for flag, value in zip(choices, values)
+        )
+        yield tuple(word for flag in flags for word in flag.split())
 
 
 def make_plan(
     algorithms: list[str],
     tasks: list[str],
-    sharings: list[bool],
+    sharings: list[str],
     seeds: int,
     flags: Flags,
     grid: list[GridLine] | None,
@@ -152,8 +158,8 @@ def make_plan(
             settings[json.dumps([task, algorithm, sharing, setting["changed"]], sort_keys=True)] = setting
     plan = []
     for seed, setting in itertools.product(range(seeds), settings.values()):
-        one, changed = (setting["algorithm"], setting["task"], setting["sharing"]), setting["changed"]
-        plan.append(PlannedRun(**setting, seed=seed, directory=run_path(runs, *one, seed, changed)))
+        name = setting["algorithm"], setting["task"], setting["sharing"] == "shared"
+        plan.append(PlannedRun(**setting, seed=seed, directory=run_path(runs, *name, seed, setting["changed"])))
     if len({run.directory for run in plan}) < len(plan):
         raise envs.InputError(
             "variants of a grid must differ in more than total_timesteps, eval_points, eval_episodes."
@@ -161,14 +167,14 @@ def make_plan(
     return plan
 
 
-def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags) -> dict[str, Any]:
+def make_setting(algorithm: str, task: str, sharing: str, flags: Flags) -> dict[str, Any]:
     """What all seeds of a setting have in common."""
     for word in flags:
         name = word.partition("=")[0].removeprefix("--").replace("-", "_").removeprefix("no_")
         if word.startswith("--") and name in OF_THIS_PROGRAM:
             raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
     module: Any = script(algorithm)
-    paper = args = module.paper_defaults(task, sharing)
+    paper = args = module.paper_defaults(task, sharing == "shared")
     try:
         if flags:  # reading a command line takes a while
             words = script_flags(task, sharing, flags)
@@ -189,44 +195,5 @@ def make_setting(algorithm: str, task: str, sharing: bool, flags: Flags) -> dict
         "flags": flags,
         "changed": changed,
         "total_timesteps": args.total_timesteps,
+        "script": ALGOS / f"{algorithm}.py",
     }
-
-
-def script(algorithm: str) -> Any:
-    """algos/<algorithm>.py as a module, loaded once."""
-    if algorithm not in SCRIPTS:
-        SCRIPTS[algorithm] = scripts.load_script(algorithm)
-    return SCRIPTS[algorithm]
-
-
-SCRIPTS: dict[str, Any] = {}
-
-
-def in_results(run: PlannedRun, results: Path) -> bool:
-    """Whether a run has been collected. ValueError where its table is damaged, or of another text of its script."""
-    text = script_hash(scripts.ALGOS / f"{run.algorithm}.py")
-    return has_seed(results, run.algorithm, run.task, run.sharing, run.changed, run.seed, text)
-
-
-def condition(run: PlannedRun, results: Path) -> str:
-    """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new".
-
-    ValueError where its table of the results is damaged, or its directory holds a damaged or another run.
-    """
-    if in_results(run, results):
-        return "in the results"
-    if not (run.directory / "config.json").exists():
-        return "new"
-    config = read_json(run.directory / "config.json", {"seed": int})
-    there, wanted = config["changed"] | {"seed": config["flags"]["seed"]}, run.changed | {"seed": run.seed}
-    different = sorted(name for name in there.keys() | wanted.keys() if there.get(name) != wanted.get(name))
-    if different:
-        raise ValueError(
-            f"{run.directory} holds a run with another {', '.join(different)}: move it away, or keep the campaign's "
-            "runs elsewhere with --runs"
-        )
-    try:
-        read_run(run.directory)
-    except NotComplete:
-        return "begun"
-    return "complete"

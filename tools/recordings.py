@@ -1,6 +1,6 @@
 """Makes docs/data/<algorithm>-<healthy|sick>.csv: what TensorBoard shows of the two runs on each algorithm's page.
 
-    python docs/record_runs.py [<algorithm> ...]
+    python tools/recordings.py [<algorithm> ...]
 
 docs/data/runs.csv has the flags of each run. A run is made in runs/site/; one that is there goes on.
 """

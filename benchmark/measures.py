@@ -1,21 +1,91 @@
-"""What a set of runs says of an algorithm as a whole: normalised returns, and the measures of Agarwal et al. (2021),
-"Deep Reinforcement Learning at the Edge of the Statistical Precipice", with stratified-bootstrap intervals.
+"""What results say in numbers: the paper's maxima, averages and intervals, normalised returns, and the measures of
+Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the Statistical Precipice", with stratified-bootstrap
+intervals.
 
 Scores are lists of arrays, one array a task, one number a seed: tasks may have different numbers of seeds. A bootstrap
 sample draws as many seeds as there are, with replacement, within each task by itself (the strata). Intervals are the
 2.5 and 97.5 percentiles of 2,000 samples.
 """
 
+import json
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from reporting.results import KEY, PAPER_SETTING, family, paper_cells, paper_task
+from benchmark.store import KEY, PAPER_SETTING, family, paper_cells, paper_task
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)
+
+
+def summarise(evaluations: pd.DataFrame, column: str = "return_mean") -> pd.DataFrame:
+    """What the paper's tables say of each (task, algorithm, sharing, setting), from any column of the evaluations.
+
+    maximum: the mean over seeds at each point, then its first best point (maximum_point). average: the mean over
+    points and seeds. last: the last point. An interval is 2 s / sqrt(n), s the sample standard deviation over n seeds
+    (average: over the seeds' own means); NaN for a single seed.
+    """
+    measured = evaluations.dropna(subset=[column])
+    by_point = measured.groupby([*KEY, "point"])[column].agg(["mean", "std", "count"]).reset_index("point")
+    by_point["interval"] = interval(by_point["std"], by_point["count"])
+    by_point["rank"] = by_point["mean"].round(9)  # equal means may differ in their last bits
+    best = by_point.sort_values(["rank", "point"], ascending=[False, True]).groupby(level=KEY).head(1)
+    last = by_point.groupby(level=KEY).tail(1)  # not last(), which would take an interval of an earlier point
+    own_means = measured.groupby([*KEY, "seed"])[column].mean()
+    average = own_means.groupby(level=KEY).agg(["mean", "std", "count"])
+    return pd.DataFrame(
+        {
+            "seeds": average["count"],
+            "maximum": best["mean"],
+            "maximum_interval": best["interval"],
+            "maximum_point": best["point"],
+            "average": average["mean"],
+            "average_interval": interval(average["std"], average["count"]),
+            "last": last["mean"],
+            "last_interval": last["interval"],
+        }
+    )
+
+
+def interval(deviation: Any, seeds: Any) -> Any:
+    """The paper's 95 % interval, from the sample standard deviation."""
+    return 2 * deviation / np.sqrt(seeds)
+
+
+def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The evaluations that the paper's tables and curves show: of each task, algorithm and sharing the paper's setting,
+    or where its budget is missing, the longest other one."""
+    budgets = evaluations[[*KEY, "total_timesteps"]].drop_duplicates()
+    budgets = budgets[[set(json.loads(setting)) <= {"total_timesteps"} for setting in budgets["setting"]]]
+    budgets = budgets.assign(other_budget=budgets["setting"] != PAPER_SETTING)
+    budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
+    chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
+    return evaluations.merge(chosen, on=KEY)
+
+
+def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
+    """The results `in_tables` as cells in the form of `paper_cells`, with the further metric last_return.
+
+    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with.
+    """
+    chosen = in_tables(evaluations)
+    settings = chosen[[*KEY, "total_timesteps", "other_budget"]].drop_duplicates()
+    parts = []
+    for column, prefix in {"return_mean": "return", "battle_won": "win_rate"}.items():
+        if column not in chosen:
+            continue
+        summary = settings.merge(summarise(chosen, column).reset_index(), on=KEY)
+        for measure in ("maximum", "average", "last"):
+            metric = f"{'max' if measure == 'maximum' else measure}_{prefix}"
+            cells = summary.assign(metric=metric, mean=summary[measure], interval=summary[f"{measure}_interval"])
+            parts.append(cells.assign(at_start=(summary["maximum_point"] == 0) & (measure == "maximum")))
+    cells = pd.concat(parts, ignore_index=True).rename(columns={"total_timesteps": "timesteps"})
+    cells["paper_task"] = cells["task"].map(paper_task)
+    columns = ["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"]
+    return cells[[*columns, "timesteps", "other_budget", "at_start", "paper_task"]]
 
 
 def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:

@@ -18,7 +18,8 @@ from typing import Any
 
 import pandas as pd
 
-from reporting.results import KEY, load, read_settings, setting_name, summarise
+from benchmark.measures import summarise
+from benchmark.store import KEY, load, read_settings, setting_name
 
 SEEDS = 3
 NOT_SEARCHED = {"total_timesteps", "eval_points", "eval_episodes"}

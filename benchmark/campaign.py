@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import json
 import os
 import shutil
 import signal
@@ -9,15 +10,15 @@ import subprocess
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import filelock
 
-from campaign import plan
-from campaign.plan import PlannedRun
-from campaign.view import LineView, TableView
-from collect import collect_run
+from benchmark import store
+from benchmark.plan import PlannedRun
+from envs.runs import say
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -25,6 +26,8 @@ STOPPED = {code for number in SIGNALS for code in (-number, 128 + number)}  # ex
 FULL = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT)]  # the disk, or the user's part of it
 LEAST_FREE = 2**20  # bytes; a run on a fuller disk cannot even say why it fails
 MOST_LOSSES = 3  # a run that is lost more often has failed
+LINES_EVERY = 300  # seconds between two looks at how far the runs are
+HEADER = f"{'task':<24} {'algorithm':<20} {'seed':>4} {'done':>5} {'steps/s':>9} {'return':>9} {'time left':>10}"
 
 
 class ClusterLost(Exception):
@@ -83,10 +86,8 @@ class Campaign:
         results: Path,
         start: Callable[[PlannedRun], Job],
         places: Callable[[], int],
-        view: LineView | TableView,
     ):
         self.plan, self.folder, self.results, self.start, self.places = runs, folder, results, start, places
-        self.view = view
         self.waiting = deque(runs)
         self.jobs: dict[Path, tuple[PlannedRun, Job]] = {}
         self.done: set[Path] = set()
@@ -97,6 +98,7 @@ class Campaign:
         self.told: set[Path] = set()  # the runs that were asked to stop
         self.stop_signal = 0
         self.problem = ""  # why no further run is started
+        self.shown = time.monotonic()  # when one saw last how far the runs are
 
     def go_on(self) -> None:
         """Runs until all is done or has failed, or a stop is asked for and all have stopped."""
@@ -109,7 +111,8 @@ class Campaign:
                 if self.stopping:
                     self.stop_jobs()
                 self.look_at_jobs()
-                self.view.show([run for run, _ in self.jobs.values()], self.summary())
+                if time.monotonic() - self.shown >= LINES_EVERY:
+                    self.show()
                 if not self.jobs and not self.waiting:
                     self.look_again()
                 time.sleep(0.1)
@@ -121,13 +124,12 @@ class Campaign:
             while self.jobs:
                 self.look_at_jobs()
                 time.sleep(0.1)
-            self.view.close()
 
     def skip_collected(self) -> None:
         """Counts what the results hold from the start. `begin` says which tables are damaged."""
         for run in self.plan:
             with contextlib.suppress(ValueError, OSError):
-                if plan.in_results(run, self.results):
+                if store.has(run, self.results):
                     self.done.add(run.directory)
         self.waiting = deque(run for run in self.plan if run.directory not in self.done)
 
@@ -165,12 +167,10 @@ class Campaign:
             with contextlib.ExitStack() as held:
                 if run.directory.exists():
                     held.enter_context(filelock.FileLock(run.directory / "lock", timeout=0))
-                there = plan.condition(run, self.results)
-                if there == "in the results":
-                    self.done.add(run.directory)
-                elif there == "complete":
-                    self.collect(run)
-            if there in ("new", "begun"):
+                there = store.bring_in(run, self.results)
+            if there == "in the results":
+                self.count(run)
+            else:
                 self.jobs[run.directory] = run, self.start(run)
         except filelock.Timeout:
             self.elsewhere.append(run)
@@ -180,15 +180,15 @@ class Campaign:
     def fail(self, run: PlannedRun, reason: str) -> None:
         """A run cannot be completed, or not be collected."""
         self.failed[run.directory] = reason
-        self.view.say(f"{run}: failed, {reason}")
+        say(f"{run}: failed, {reason}")
         full = shutil.disk_usage(self.folder).free < LEAST_FREE
         if full or any(sentence in reason for sentence in FULL):  # every other run would fail, too
             self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def finish(self, run: PlannedRun, code: int, lost: bool) -> None:
         """A job has ended. ValueError where its files are damaged."""
-        if plan.condition(run, self.results) in ("complete", "in the results"):
-            self.collect(run)
+        if store.bring_in(run, self.results) == "in the results":
+            self.count(run)
         elif lost:
             self.try_again(run, "its node was lost")
         elif code == -signal.SIGKILL:
@@ -207,25 +207,26 @@ class Campaign:
         if self.losses[run.directory] > MOST_LOSSES:
             self.fail(run, f"{reason}; it was lost {self.losses[run.directory]} times")
         else:
-            self.view.say(f"{run}: {reason}; it goes on from its last checkpoint")
+            say(f"{run}: {reason}; it goes on from its last checkpoint")
             self.waiting.appendleft(run)
 
-    def collect(self, run: PlannedRun) -> None:
-        """Puts a complete run into the results."""
-        try:
-            collect_run(run.directory, self.results)
-        except (ValueError, OSError) as error:  # ValueError: it does not fit to the other seeds
-            self.fail(run, f"complete, but not collected: {error} ({run.directory})")
-        else:
-            self.done.add(run.directory)
-            run.log.unlink(missing_ok=True)
-            self.view.say(f"{run}: in the results ({len(self.done)} of {len(self.plan)})")
+    def count(self, run: PlannedRun) -> None:
+        """A run is in the results."""
+        self.done.add(run.directory)
+        run.log.unlink(missing_ok=True)
+        say(f"{run}: in the results ({len(self.done)} of {len(self.plan)})")
 
     def look_again(self) -> None:
         """Takes up the runs that were in use elsewhere and no longer are."""
         free = [run for run in self.elsewhere if not in_use(run.directory)]
         self.elsewhere = [run for run in self.elsewhere if run not in free]
         self.waiting.extend(free)
+
+    def show(self) -> None:
+        """Says how far the campaign and the runs that are being made are."""
+        self.shown = time.monotonic()
+        rows = [table_row(run, read_progress(run.directory)) for run, _ in self.jobs.values()]
+        say("\n".join([time.strftime("%H:%M:%S ") + self.summary(), HEADER, *rows]))
 
     def summary(self) -> str:
         """One line."""
@@ -266,3 +267,40 @@ def last_line(log: Path) -> str:
     """What a program said last."""
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is; None: not known yet. share: of its budget. last_return: of evaluation, else of training."""
+
+    share: float = 0.0
+    steps_per_second: float | None = None
+    last_return: float | None = None
+    seconds_left: float | None = None
+
+
+def read_progress(directory: Path) -> Progress:
+    """How far the run in this directory is, by its progress.json."""
+    try:
+        said = json.loads((directory / "progress.json").read_text())
+        timestep, budget, rate = said["timestep"], said["total_timesteps"], said["steps_per_second"]
+        last = said["training_return"] if said["evaluation_return"] is None else said["evaluation_return"]
+    except (OSError, ValueError, KeyError):
+        return Progress()
+    left = max(budget - timestep, 0) / rate if rate else None
+    return Progress(min(timestep / budget, 1.0), rate or None, last, left)
+
+
+def table_row(run: PlannedRun, progress: Progress) -> str:
+    """A run's line in the table."""
+    rate = "" if progress.steps_per_second is None else f"{progress.steps_per_second:,.0f}"
+    last = "" if progress.last_return is None else f"{progress.last_return:,.2f}"
+    left = "" if progress.seconds_left is None else duration(progress.seconds_left)
+    name = f"{run.algorithm} {'shared' if run.sharing else 'independent'}"
+    return f"{run.task:<24} {name:<20} {run.seed:>4} {progress.share:>5.0%} {rate:>9} {last:>9} {left:>10}"
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

@@ -19,8 +19,8 @@ from typing import Any
 
 import pandas as pd
 
-from reporting.results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
-from reporting.tables import same_mean
+from benchmark.store import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
+from benchmark.tables import same_mean
 
 HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured yet"
 TASKS = tuple(dict.fromkeys(paper_cells()["task"]))

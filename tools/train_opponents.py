@@ -1,6 +1,6 @@
 """Trains the opponents of mpe-adversary and mpe-tag, chooses one for each, and puts it into the package.
 
-    python benchmark/train_opponents.py [--tasks mpe-adversary mpe-tag] [--seeds 0 1 2] [--runs runs/opponents]
+    python tools/train_opponents.py [--tasks mpe-adversary mpe-tag] [--seeds 0 1 2] [--runs runs/opponents]
 
 For each seed all agents of a task learn together, with the paper's hyperparameters of MADDPG but for the GRU:
     python algos/maddpg.py --env <task>-selfplay --individual-rewards --no-parameter-sharing --network fc --seed <k>
@@ -12,8 +12,8 @@ less. Of the candidates with all returns within the bounds, that with the smalle
 returns, each in units of half the distance of its bounds, is written to envs/families/opponents/<task>.npz, and what
 was measured to <task>.json. An opponent that is there already is replaced only with --replace. The present ones come
 from
-    python benchmark/train_opponents.py --tasks mpe-adversary --seeds 5
-    python benchmark/train_opponents.py --tasks mpe-tag --seeds 0 1
+    python tools/train_opponents.py --tasks mpe-adversary --seeds 5
+    python tools/train_opponents.py --tasks mpe-tag --seeds 0 1
 Ten seeds of the adversary were trained. Eight had candidates within the bounds, and scripted teams do not tell which of
 these a learning team can outwit. So MAA2C learned against three of them, for up to a million steps. It earned 16.6
 against seed 2, 16.0 against seed 6, and 12.7 against seed 5; the paper's MAA2C came to 12.06 at its best.
@@ -22,16 +22,19 @@ against seed 2, 16.0 against seed 6, and 12.7 against seed 5; the paper's MAA2C 
 import argparse
 import csv
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import envs  # isort: skip (before PyTorch, as in the scripts)
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from campaign.scripts import load_script
+from benchmark.plan import load_script
 from envs import runs
 from envs.families import mpe
 from envs.runs import one_sentence
