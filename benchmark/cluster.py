@@ -26,7 +26,6 @@ import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import filelock
@@ -36,7 +35,7 @@ import envs
 from benchmark import plan
 from benchmark.campaign import ClusterLost
 from benchmark.plan import PlannedRun
-from envs.runs import describe
+from envs.runs import provenance
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
@@ -260,13 +259,6 @@ class RayJob:
             self.trainer.stop.remote()
 
 
-def commit_here() -> str | None:
-    """The commit of this checkout, as a config.json that is made here has it."""
-    nothing = SimpleNamespace(total_timesteps=0)
-    commit: str | None = describe(__file__, nothing, nothing)["commit"]
-    return commit
-
-
 class Connection:
     """A cluster that was joined: what starts jobs on it, and says how many it has room for."""
 
@@ -281,7 +273,7 @@ class Connection:
             raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
         if not host:
             host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
-        self.address, self.jobs, self.commit = (host, int(port)), jobs, commit_here()
+        self.address, self.jobs, self.commit = (host, int(port)), jobs, provenance()["commit"]
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
         self.begin: Callable[..., Any] = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
         self.cores, self.counted = 0, -math.inf

@@ -833,7 +833,7 @@ class TestRay:
         assert said.count("its node was lost; it goes on") == 1
         assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
         config = json.loads((directories[0] / "config.json").read_text())
-        assert config["commit"] == cluster.commit_here()
+        assert config["commit"] == envs.runs.provenance()["commit"]
         assert not (directories[0] / "progress.json").exists() and not campaigns.in_use(directories[0])
 
     @pytest.mark.slow
