@@ -468,6 +468,26 @@ class TestRunning:
             job.process.wait()
 
     @pytest.mark.slow
+    def test_kill_9(self, tmp_path):
+        """Of the program and of all its runs, twice: the same command ends with the tables of a campaign in peace."""
+        words = ["--sharing", "both", "--seeds", 2, "--jobs", 2]
+        flags = ["--", "--pace", "0.01"]
+        table = Path("results/matrix-climbing/ia2c-shared-pace=0.01.csv")
+        for begun in (folder_of(0, "ia2c-shared-pace=0.01") / "checkpoint.pt", table):
+            process = psutil.Popen(driver(tmp_path, *words, *flags))
+            wait_for(begun.exists)
+            for killed in (process, *process.children()):
+                killed.kill()
+            assert process.wait() == -signal.SIGKILL
+        assert sum(len(seeds_of(path.stem)) for path in Path("results").rglob("*.csv")) < 4  # something is left to do
+        assert subprocess.run(driver(tmp_path, *words, *flags)).returncode == 0
+        peace = driver(tmp_path, *words, "--runs", "others", *flags)
+        peace[peace.index("results")] = "peace"
+        assert subprocess.run(peace).returncode == 0
+        found = [{path.name: path.read_bytes() for path in Path(there).rglob("ia2c*")} for there in ("results", "peace")]
+        assert len(found[0]) == 4 and found[0] == found[1]
+
+    @pytest.mark.slow
     def test_ctrl_c_stops_it_in_the_background_of_a_shell_script(self, tmp_path):
         """Where SIGINT is ignored from the start."""
         process = subprocess.Popen(
