@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from benchmark.store import KEY, PAPER_SETTING, family, paper_cells, paper_task
+from benchmark.store import KEY, PAPER_OPPONENTS, PAPER_SETTING, family, paper_cells, paper_task, setting_name
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)
@@ -55,23 +55,41 @@ def interval(deviation: Any, seeds: Any) -> Any:
     return 2 * deviation / np.sqrt(seeds)
 
 
-def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
+def paper_setting(task: str) -> dict[str, Any]:
+    """The changed flags of the runs that the paper's rows are compared with: none, or its own opponent."""
+    return {"env_kwargs": f"opponent='{PAPER_OPPONENTS[task]}'"} if task in PAPER_OPPONENTS else {}
+
+
+def has_paper_setting(evaluations: pd.DataFrame) -> pd.Series:
+    """For each row whether it is of a run with the paper's flags and budget, against the paper's opponent."""
+    settings = {task: setting_name(paper_setting(task)) for task in evaluations["task"].unique()}
+    return evaluations["setting"] == evaluations["task"].map(settings)
+
+
+def in_tables(evaluations: pd.DataFrame, own_opponent: bool = False) -> pd.DataFrame:
     """The evaluations that the paper's tables and curves show: of each task, algorithm and sharing the paper's setting,
-    or where its budget is missing, the longest other one."""
+    or where its budget is missing, the longest other one. own_opponent: those of `PAPER_OPPONENTS`' tasks instead that
+    were played against the opponents of this repository."""
     budgets = evaluations[[*KEY, "total_timesteps"]].drop_duplicates()
-    budgets = budgets[[set(json.loads(setting)) <= {"total_timesteps"} for setting in budgets["setting"]]]
-    budgets = budgets.assign(other_budget=budgets["setting"] != PAPER_SETTING)
+    if own_opponent:
+        budgets = budgets[budgets["task"].isin(PAPER_OPPONENTS)]
+    changed = [json.loads(setting) for setting in budgets["setting"]]
+    other_budget = [bool(flags.pop("total_timesteps", 0)) for flags in changed]
+    expected = [{} if own_opponent else paper_setting(task) for task in budgets["task"]]
+    budgets = budgets.assign(other_budget=other_budget)
+    budgets = budgets[np.array([flags == its for flags, its in zip(changed, expected)], bool)]
     budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
     chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
     return evaluations.merge(chosen, on=KEY)
 
 
-def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
+def our_cells(evaluations: pd.DataFrame, own_opponent: bool = False) -> pd.DataFrame:
     """The results `in_tables` as cells in the form of `paper_cells`, with the further metric last_return.
 
-    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with.
+    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with; empty
+    with `own_opponent`.
     """
-    chosen = in_tables(evaluations)
+    chosen = in_tables(evaluations, own_opponent)
     settings = chosen[[*KEY, "total_timesteps", "other_budget"]].drop_duplicates()
     parts = []
     for column, prefix in {"return_mean": "return", "battle_won": "win_rate"}.items():
@@ -83,7 +101,7 @@ def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
             cells = summary.assign(metric=metric, mean=summary[measure], interval=summary[f"{measure}_interval"])
             parts.append(cells.assign(at_start=(summary["maximum_point"] == 0) & (measure == "maximum")))
     cells = pd.concat(parts, ignore_index=True).rename(columns={"total_timesteps": "timesteps"})
-    cells["paper_task"] = cells["task"].map(paper_task)
+    cells["paper_task"] = "" if own_opponent else cells["task"].map(paper_task)
     columns = ["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"]
     return cells[[*columns, "timesteps", "other_budget", "at_start", "paper_task"]]
 
@@ -97,7 +115,7 @@ def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:
     task on which nothing ever changed is left out.
     """
     in_paper = evaluations["task"].map(paper_task).isin(paper_cells()["task"])
-    chosen = evaluations[in_paper & (evaluations["setting"] == PAPER_SETTING)]
+    chosen = evaluations[in_paper & has_paper_setting(evaluations)]
     returns = chosen.groupby("task")["return_mean"]
     low, high = returns.transform("min"), returns.transform("max")
     chosen = chosen.assign(normalised=(chosen["return_mean"] - low) / (high - low).where(high > low))
@@ -172,7 +190,15 @@ def sharing_means(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def cpu_hours(evaluations: pd.DataFrame) -> pd.DataFrame:
-    """CPU hours of the runs with the paper's setting and budget, by (family, algorithm, sharing): runs, total, mean."""
-    chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
+    """CPU hours of the runs with default flags, against either opponent, by (family, algorithm, sharing): runs, total,
+    mean."""
+    chosen = evaluations[(evaluations["setting"] == PAPER_SETTING) | has_paper_setting(evaluations)]
     runs = chosen.groupby(["family", *KEY, "seed"])["cpu_seconds"].max() / 3600
     return runs.groupby(["family", "algorithm", "sharing"]).agg(runs="count", total="sum", mean="mean")
+
+
+def hours_of_cells(evaluations: pd.DataFrame) -> dict[tuple[bool, str, str], float]:
+    """Mean CPU hours of a run by sharing, the paper's task and algorithm; evaluations of the tables."""
+    runs = evaluations.groupby(["sharing", "task", "algorithm", "seed"])["cpu_seconds"].max() / 3600
+    means = runs.groupby(["sharing", "task", "algorithm"]).mean()
+    return {(sharing, paper_task(task), algorithm): mean for (sharing, task, algorithm), mean in means.items()}

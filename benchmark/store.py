@@ -44,6 +44,9 @@ PAPER_SEEDS = 5
 PAPER_RUNS = 2250  # 9 algorithms, 25 tasks, with and without sharing, 5 seeds
 PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
+# In these tasks the paper's teams played against trained networks of its own. Its rows are compared with runs against
+# those, which have this fingerprint; runs against our own opponents have tables of their own.
+PAPER_OPPONENTS = {"mpe-adversary": "915a50e2ce129bc1", "mpe-tag": "ab8fed43e248e85a"}
 SHARING = {True: "shared", False: "independent"}  # --parameter-sharing in names and tables
 KEY = ["task", "algorithm", "sharing", "setting"]
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]

@@ -42,6 +42,15 @@ if TYPE_CHECKING:
 
 as_gymnasium.register()
 
+# What draws the families, by the modules of their rules
+PICTURES = {
+    "envs.families.matrix": "envs.pictures.matrix",
+    "envs.families.lbf": "envs.pictures.lbf",
+    "envs.families.rware": "envs.pictures.rware",
+    "envs.families.mpe": "envs.pictures.mpe",
+    "envs.families.smaclite.environment": "envs.pictures.smaclite",
+}
+
 
 def make(
     name: str,
@@ -117,6 +126,8 @@ def make(
     except MemoryError:
         raise too_large from None
     env.checks_numbers |= name.startswith("own:")
+    if described.module in PICTURES:
+        env.can_draw, env.picture = True, PICTURES[described.module]
     return env
 
 

@@ -484,7 +484,9 @@ class TestRunning:
         peace = driver(tmp_path, *words, "--runs", "others", *flags)
         peace[peace.index("results")] = "peace"
         assert subprocess.run(peace).returncode == 0
-        found = [{path.name: path.read_bytes() for path in Path(there).rglob("ia2c*")} for there in ("results", "peace")]
+        found = [
+            {path.name: path.read_bytes() for path in Path(there).rglob("ia2c*")} for there in ("results", "peace")
+        ]
         assert len(found[0]) == 4 and found[0] == found[1]
 
     @pytest.mark.slow

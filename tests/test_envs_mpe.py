@@ -32,6 +32,7 @@ from torch import nn
 import envs
 from envs import render, runs, tasks
 from envs.families import mpe
+from envs.pictures import mpe as pictures
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("mpe-*.npz"))
 FULL = os.environ.get("ENVS_FULL") == "1"
@@ -653,7 +654,7 @@ def test_frames_of_an_episode(name: str) -> None:
     assert (frames[0] != frames[1]).any() and (frames[0] != env.frame(index=0)).any()
     assert near(frames[-1], render.AGENTS[0]) > 100
     assert (near(frames[-1], render.AGENTS[1]) > 50) == ("adversary" in name or "tag" in name)
-    assert (near(frames[-1], mpe.GOAL) > 30) == ("adversary" in name or "listener" in name)
+    assert (near(frames[-1], pictures.GOAL) > 30) == ("adversary" in name or "listener" in name)
 
 
 def test_who_touches_is_seen() -> None:
@@ -661,9 +662,9 @@ def test_who_touches_is_seen() -> None:
     env.reset()
     obstacles = [[-0.9, -0.9], [0.9, 0.9]]
     place(env, 0, [[0, 0], [0.05, 0], [0.5, 0.5], [-0.5, 0.5]], obstacles)
-    assert near(env.frame(), mpe.TOUCH) == 0  # predators among themselves do not count
+    assert near(env.frame(), pictures.TOUCH) == 0  # predators among themselves do not count
     place(env, 0, [[0, 0], [0.05, 0], [0.5, 0.5], [0.45, 0.5]], obstacles)
-    assert near(env.frame(), mpe.TOUCH) > 100
+    assert near(env.frame(), pictures.TOUCH) > 100
 
 
 def test_the_symbol_is_seen() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from benchmark import claims, measures, store, tables
+from benchmark import measures, store, tables
 from benchmark.plots import COLOURS
 from benchmark.report import Report
 
@@ -113,11 +113,13 @@ def number(mean: float, interval: float) -> str:
     return tables.number(mean, interval)
 
 
-def verdicts() -> list[tuple[str, str, str, str, str]]:
-    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures."""
-    judged = zip(claims.CLAIMS, claims.judge(report().paper), claims.judge(report().ours))
+@lru_cache
+def verdicts() -> list[tuple[str, str, str, str, str, str]]:
+    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures, and the cells
+    on which our verdict rests."""
     return [
-        (place, sentence, paper.verdict, ours.verdict, ours.figures) for (place, sentence, _), paper, ours in judged
+        (claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on)
+        for claim, paper, ours in report().verdicts()
     ]
 
 
