@@ -6,14 +6,14 @@ writes into the output folder
 
     RESULTS.md     tables, figures and claims
     figures/       the figures, PNG and SVG
-    latex/         the paper's tables with our values, one file each
+    tables.csv     the cells of all tables, ours and the paper's
 
 and, where the output is this folder, the short version into the repository's README.md, between two markers.
 `--marl-eval` also writes the evaluations in marl-eval's JSON, for other programs.
 
     python benchmark/report.py --grid benchmark/searches/paper
 
-prints the variants of a search (`reporting/search.py`), the best first, and writes nothing.
+prints the variants that a search has run (`benchmark/README.md`), the best first, and writes nothing.
 """
 
 import argparse
@@ -35,7 +35,6 @@ from matplotlib.figure import Figure
 
 from benchmark import agreement, claims, measures, plots, tables
 from benchmark.measures import in_tables, our_cells
-from benchmark.search_old import search_report
 from benchmark.store import (
     FAMILIES,
     HERE,
@@ -408,20 +407,18 @@ def main() -> None:
     args = parser.parse_args()
     try:
         if args.grid:
-            print(search_report(args.grid))
+            print(tables.variants(load(args.grid)))
             return
         report = Report(args.results)
         if args.marl_eval:  # first: where this cannot be written, the others stay as they are
             runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
         (args.output / "figures").mkdir(parents=True, exist_ok=True)
-        (args.output / "latex").mkdir(exist_ok=True)
-        texts = {args.output / "RESULTS.md": report.long() + "\n"}
+        texts = {
+            args.output / "RESULTS.md": report.long() + "\n",
+            args.output / "tables.csv": tables.to_csv(report.both),
+        }
         if args.output.resolve() == HERE:
             texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
-        for metric in tables.TITLES:
-            for sharing, name in FILE.items():
-                if table := tables.latex(report.both, metric, sharing):
-                    texts[args.output / "latex" / f"{metric.replace('_', '-')}-{name}.tex"] = table
         for name, draw in report.figures().items():
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():

@@ -1,4 +1,4 @@
-"""The paper's tables from cells of results (`results.our_cells`, `results.paper_cells`), as Markdown and LaTeX.
+"""The paper's tables from cells of results (`results.our_cells`, `results.paper_cells`), as Markdown and CSV.
 
 In a row, the highest mean is bold, and with it those that are printed alike. An asterisk: not significantly different
 from one of them in a two-sided Student t-test with equal variances at 0.05, computed from means, intervals and numbers
@@ -37,15 +37,6 @@ so that beyond 1 the two do not agree. For a single seed this interval has the s
 several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of five seeds:
 the best of 41 points picks its noise. So look at averages first."""
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-LATEX_SIGNS = {
-    "_": r"\_",
-    "±": r"$\pm$",
-    "*": "$^{*}$",
-    "°": r"$^{\circ}$",
-    "†": r"$^{\dagger}$",
-    "‡": r"$^{\ddagger}$",
-    **{chr(sign): f"$^{{{chr(digit)}}}$" for digit, sign in SUPERSCRIPTS.items()},
-}
 
 
 def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2: float, seeds2: int) -> bool:
@@ -199,23 +190,6 @@ def markdown(both: pd.DataFrame, metric: str, sharing: bool) -> str:
     return to_markdown(["task", "", *map(str.upper, columns(both))], body) if body else ""
 
 
-def latex(both: pd.DataFrame, metric: str, sharing: bool) -> str:
-    """The same table as a LaTeX tabular, for which the preamble loads booktabs; nothing where we have no result."""
-    body = lines(both, metric, sharing)
-    if not body:
-        return ""
-    header = ["task", "", *map(str.upper, columns(both))]
-    made = [r"\begin{tabular}{ll" + "r" * len(columns(both)) + "}", r"\toprule"]
-    made.append(" & ".join(header).replace("_", LATEX_SIGNS["_"]) + r" \\")
-    for line in body:
-        if line[0]:
-            made.append(r"\midrule")
-        text = " & ".join(line).replace(r"\*", "*")
-        text = re.sub(r"\*\*(.*?)\*\*", r"\\textbf{\1}", text)
-        made.append(re.sub("[_±*°†‡⁰¹²³⁴⁵⁶⁷⁸⁹]", lambda sign: LATEX_SIGNS[sign[0]], text) + r" \\")
-    return "\n".join([*made, r"\bottomrule", r"\end{tabular}", ""])
-
-
 # One task of each family, for the README.
 SHOWN = ("matrix-climbing", "mpe-speaker-listener", "smaclite-2s_vs_1sc-sc2", "lbf-15x15-3p-5f", "rware-tiny-4p")
 
@@ -228,25 +202,35 @@ def short(both: pd.DataFrame) -> str:
     return to_markdown(["task", *map(str.upper, columns(both))], body)
 
 
-def variants(evaluations: pd.DataFrame, shown: pd.DataFrame) -> str:
-    """The results that are in no other table, as those with other flags; nothing where there are none.
+def variants(evaluations: pd.DataFrame, shown: pd.DataFrame | None = None) -> str:
+    """The results that are in no other table, as those with other flags, or a search; nothing where there are none.
 
-    shown: the evaluations that the other tables are of.
+    shown: the evaluations that the other tables are of. Of each task, algorithm, sharing and budget the best maximum
+    comes first, and of equal ones the best average.
     """
     summary = summarise(evaluations).reset_index()
-    elsewhere = set(shown[KEY].drop_duplicates().itertuples(index=False, name=None))
+    summary = summary.merge(evaluations[[*KEY, "total_timesteps"]].drop_duplicates(), on=KEY)
+    summary["place"] = summary["task"].map(in_order(summary["task"]).index)
+    summary["score"] = summary["maximum"].round(9)  # equal ones may differ in their last bits
+    group = ["place", "algorithm", "sharing", "total_timesteps"]
+    ascending = [True, True, False, False, False, False]
+    elsewhere = set() if shown is None else set(shown[KEY].itertuples(index=False, name=None))
     body = []
-    for row in summary.itertuples():
+    for row in summary.sort_values([*group, "score", "average"], ascending=ascending).itertuples():
         if (row.task, row.algorithm, row.sharing, row.setting) in elsewhere:
             continue
         flags = ", ".join(f"{name} {value}" for name, value in json.loads(row.setting).items()).replace("|", r"\|")
-        values = [
-            number(row.maximum, row.maximum_interval),
-            number(row.average, row.average_interval),
-            number(row.last, row.last_interval),
-        ]
+        pairs = [(getattr(row, name), getattr(row, f"{name}_interval")) for name in ("maximum", "average", "last")]
         shared = "yes" if row.sharing else "no"
+        values = [number(*pair) for pair in pairs]
         body.append([row.task, row.algorithm.upper(), shared, flags, str(row.seeds), *values])
-    body.sort(key=lambda line: (in_order(evaluations["task"]).index(line[0]), line[1:4]))
     header = ["task", "algorithm", "sharing", "changed flags", "seeds", "maximum", "average", "last"]
     return to_markdown(header, body) if body else ""
+
+
+def to_csv(both: pd.DataFrame) -> str:
+    """All cells beside the paper's, as a CSV; columns as `compare` has them."""
+    order = both["task"].map(in_order(both["task"]).index)
+    columns = both["algorithm"].map(algorithm_order(both["algorithm"]).index)
+    places = both.assign(order=order, column=columns).sort_values(["metric", "sharing", "order", "column"])
+    return places[both.columns].round(4).to_csv(index=False, lineterminator="\n")

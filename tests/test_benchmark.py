@@ -567,13 +567,10 @@ def test_the_signs_of_cells():
     assert paper.split(" | ")[1] == "paper" and "195.00" not in paper and "175.00 ± 0.00" in paper
     many = compared(evaluations([[0, 1]] * 10))
     assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", True)
-    assert "$^{1}$$^{0}$" in tables.latex(many, "max_return", True)
     averages = tables.markdown(both, "average_return", True).splitlines()
     for lines in (averages, tables.markdown(both, "max_return", True).splitlines()):
         assert dict(zip(header.split(" | "), lines[4].split(" | ")))["IA2C"] == "-"  # another budget
     assert "**" not in averages[2]
-    text = tables.latex(both, "max_return", True)
-    assert r"\textbf{9.00 $\pm$ 0.00} $^{2}$$^{\circ}$" in text and r"5.00 $\pm$ 0.00 $^{\dagger}$" in text
     listed = tables.variants(pd.concat([few, short, whole, longer, other]), pd.concat([few, short, whole]))
     assert "network gru" in listed and "total_timesteps 9000000" in listed and "MAPPO" not in listed
     assert tables.short(both).splitlines()[2].startswith("| `matrix-climbing` |  |  |  |")  # no other budgets
@@ -773,6 +770,7 @@ def test_the_report_is_up_to_date():
     readme = ROOT / "README.md"
     assert readme.read_text(encoding="utf-8") == report.between_markers(readme, made.short()), how
     assert (BENCHMARK / "RESULTS.md").read_text(encoding="utf-8") == made.long() + "\n", how
+    assert (BENCHMARK / "tables.csv").read_text(encoding="utf-8") == tables.to_csv(made.both), how
     for name in made.figures():
         with Image.open(BENCHMARK / "figures" / f"{name}.png") as image:
             assert image.info["Source"] == made.digest, how
@@ -840,7 +838,11 @@ def test_many_results_are_reported_soon(monkeypatch, tmp_path):
     assert time.process_time() - start < 60  # CPU seconds: others may use the machine too
     text = (tmp_path / "out" / "RESULTS.md").read_text(encoding="utf-8")
     assert all(f"| {task} | ours |" in text for task in tasks)
-    assert len(list((tmp_path / "out" / "latex").glob("*.tex"))) == 6
+    cells = pd.read_csv(tmp_path / "out" / "tables.csv")
+    assert list(dict.fromkeys(cells["algorithm"])) == list(store.ALGORITHMS) and set(cells["task"]) == set(tasks)
+    assert (
+        len(cells) == len(tasks) * 9 * 2 * 3 and cells.loc[cells["metric"] == "max_return", "paper_mean"].notna().any()
+    )
     figures = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
     assert {"curves-lbf-shared.svg", "normalised-shared.png", "profiles-independent.svg", "sharing.png"} <= figures
     assert json.loads((tmp_path / "m.json").read_text()).keys() <= store.FAMILIES.keys()
@@ -861,7 +863,6 @@ def test_an_algorithm_of_your_own_is_reported_beside_the_papers(monkeypatch, tmp
     assert lines[start + 2].endswith("| QMIX | MY_MAPPO |") and lines[start + 4].count("**") == 2
     assert lines[start + 4].split(" | ")[-1].startswith("**") and lines[start + 6].endswith("| - |")
     assert sum(line.startswith("| MY_MAPPO") for line in lines) == 6  # two tables of each sharing, two CPU lines
-    assert r"QMIX & MY\_MAPPO \\" in (tmp_path / "out" / "latex" / "max-return-shared.tex").read_text()
     drawn = (tmp_path / "out" / "figures" / "curves-matrix-shared.svg").read_text()
     assert "MY_MAPPO" in drawn and "stroke: #000000" in drawn
 

@@ -28,7 +28,7 @@ import pytest
 
 import envs
 from benchmark import campaign as campaigns
-from benchmark import plan, run, search_old, store
+from benchmark import plan, run, store, tables
 from envs.runs import is_whole
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -1013,34 +1013,36 @@ class TestSearch:
         Path("grid.csv").write_text("\n".join(["algorithms,families,flag,values", *lines]))
         assert campaign(monkeypatch, "--grid", "grid.csv", "--results", "searches") == 0
         assert "9 of 9 runs are in" in capsys.readouterr().out
-        assert search_old.search_report(Path("searches")).splitlines() == [
-            "### ia2c with parameter sharing on matrix-climbing",
-            "",
-            "3 variants, 9 runs of 40 timesteps. The winner: learning_rate 1.0. The paper's choice has place 2.",
-            "",
-            "|  | learning_rate | seeds | score | average return |",
-            "| --- | --- | --- | --- | --- |",
-            "| 1 | 1.0 | 3 | 40.00 | 20.00 |",
-            "| 2 (the paper's) | 0.5 | 3 | 20.00 | 10.00 |",
-            "| 3 | 0.25 | 3 | 10.00 | 5.00 |",
-        ]
         monkeypatch.setattr(sys, "argv", ["report.py", "--grid", "searches"])
         importlib.import_module("benchmark.report").main()
-        assert "The winner: learning_rate 1.0." in capsys.readouterr().out
+        assert capsys.readouterr().out.splitlines() == [
+            "| task | algorithm | sharing | changed flags | seeds | maximum | average | last |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| matrix-climbing | IA2C | yes | learning_rate 1.0 | 3 | 40.00 ± 0.00 | 20.00 ± 0.00 | 40.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | yes |  | 3 | 20.00 ± 0.00 | 10.00 ± 0.00 | 20.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | yes | learning_rate 0.25 | 3 | 10.00 ± 0.00 | 5.00 ± 0.00 | 10.00 ± 0.00 |",
+        ]
 
     def test_the_best_point_of_the_mean_and_then_the_average(self):
         """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way. C learns and
-        forgets."""
+        forgets. D had a larger budget, so it stands apart."""
         curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
+        curves["D"] = [[0, 0, 1]]
         rows = [
-            {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
-            | {"return_mean": float(value), "total_timesteps": 40}
+            {"task": "lbf-5x5-2p-1f", "algorithm": "a", "sharing": True, "setting": json.dumps({"flag": name})}
+            | {"seed": seed, "point": point, "return_mean": float(value)}
+            | {"total_timesteps": 80 if name == "D" else 40}
             for name, seeds in curves.items()
             for seed, values in enumerate(seeds)
             for point, value in enumerate(values)
         ]
-        ranking = search_old.ranked(pd.DataFrame(rows))
-        assert list(ranking["setting"]) == ["C", "B", "A"] and list(ranking["score"]) == [4.5, 4.0, 4.0]
+        lines = [line.split(" | ") for line in tables.variants(pd.DataFrame(rows)).splitlines()[2:]]
+        assert [(line[3], line[5].split()[0]) for line in lines] == [
+            ("flag D", "1.00"),
+            ("flag C", "4.50"),
+            ("flag B", "4.00"),
+            ("flag A", "4.00"),
+        ]
 
     def test_a_search_has_a_folder_of_its_own(self, monkeypatch):
         """Its runs are no part of the benchmark."""
@@ -1053,54 +1055,3 @@ class TestSearch:
         tables = sorted(path.name for path in Path("benchmark").rglob("*.csv"))
         assert tables == ["ia2c-shared-learning-rate=0.25.csv", "ia2c-shared.csv"]
         assert [path.name for path in Path("benchmark").iterdir()] == ["searches"]
-
-    @pytest.mark.slow
-    def test_one_variant_with_fewer_seeds_makes_a_search_incomplete(self, monkeypatch):
-        for rate, seeds in ((0.25, 3), (1.0, 2)):
-            assert campaign(monkeypatch, "--seeds", seeds, "--", "--learning-rate", rate) == 0
-        assert "The search is not complete" in search_old.search_report(Path("results"))
-        assert campaign(monkeypatch, "--seeds", 3, "--", "--learning-rate", 1.0) == 0
-        assert "The search is not complete" not in search_old.search_report(Path("results"))
-
-    def test_the_papers_choice_may_be_looked_at_more_often(self):
-        assert search_old.is_the_papers('{"eval_points": 5, "total_timesteps": 10}')
-        assert not search_old.is_the_papers('{"network": "gru"}')
-
-    def test_what_is_missing_is_said(self, monkeypatch):
-        flags = ["--", "--learning-rate", "0.25", "--total-timesteps", "20"]
-        assert campaign(monkeypatch, "--seeds", 2, *flags) == 0
-        said = search_old.search_report(Path("results"))
-        assert "2 runs of 20 timesteps (the paper: 40). The winner: the only variant." in said
-        assert "The paper's choice is not among them. The search is not complete" in said
-
-    def test_budgets_do_not_compare(self, monkeypatch):
-        for rate, steps in ((0.25, 20), (1.0, 20), (1.0, 60)):
-            flags = ["--runs", f"runs-of-{steps}", "--", "--learning-rate", rate, "--total-timesteps", steps]
-            assert campaign(monkeypatch, "--seeds", 1, *flags) == 0
-        said = search_old.search_report(Path("results"))
-        assert "2 variants, 2 runs of 20 timesteps (the paper: 40). The winner: learning_rate 1.0." in said
-        assert "1 variant, 1 run of 60 timesteps (the paper: 40). The winner: the only variant." in said
-
-    def test_a_flag_that_only_later_scripts_have(self, monkeypatch):
-        for rate in (0.25, 1.0):
-            assert campaign(monkeypatch, "--seeds", 1, "--", "--learning-rate", rate) == 0
-        older = Path("results/matrix-climbing/ia2c-shared-learning-rate=0.25.json")
-        settings = json.loads(older.read_text())
-        del settings["flags"]["pace"]
-        older.write_text(json.dumps(settings))
-        assert "| 1 | 1.0 | 1 | 40.00 | 20.00 |" in search_old.search_report(Path("results"))
-
-    def test_a_search_of_such_a_flag(self, monkeypatch):
-        """The older variant does not have it."""
-        for pace in (0.001, 0.002, 0.003):
-            assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", pace) == 0
-        older = Path("results/matrix-climbing/ia2c-shared.json")  # 0.002 is the stand-in's default
-        settings = json.loads(older.read_text())
-        del settings["flags"]["pace"]
-        older.write_text(json.dumps(settings))
-        said = search_old.search_report(Path("results"))
-        assert "|  | pace | seeds | score |" in said and "(the paper's) | - | 1 | 20.00 |" in said
-
-    def test_nothing_was_searched(self):
-        with pytest.raises(ValueError, match="no results in nowhere"):
-            search_old.search_report(Path("nowhere"))
