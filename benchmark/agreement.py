@@ -140,7 +140,7 @@ def percent(agrees: pd.Series) -> str:
     return f"{100 * agrees.mean():.0f} %" if len(agrees) else ""
 
 
-def by_family(cells: pd.DataFrame, corrected: pd.DataFrame, sharing: dict[bool, str]) -> list[list[str]]:
+def by_family(cells: pd.DataFrame, corrected: pd.DataFrame, sharing: dict[str, str]) -> list[list[str]]:
     """Lines of a table: family and sharing; averages that agree, and by the placebo; the same of maxima; and the
     maxima that agree without the bias of single seeds."""
     pretended, body = placebo(cells), []

@@ -50,7 +50,17 @@ import numpy as np
 import pandas as pd
 
 from benchmark.agreement import spread
-from benchmark.store import ALGORITHMS, PAPER, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
+from benchmark.store import (
+    ALGORITHMS,
+    INDEPENDENT,
+    PAPER,
+    PAPER_FAMILIES,
+    PAPER_SEEDS,
+    SHARED,
+    SHARING,
+    family,
+    paper_cells,
+)
 from benchmark.tables import same_mean
 
 HOLDS, FAILS, CLOSE, UNKNOWN = "holds", "does not hold", "too close to call", "not measured"
@@ -69,11 +79,11 @@ SETS["fully_observable"] = (
 )
 
 # The maxima of the paper's tables that lie before training. They are those of our runs, whose networks began alike.
-UNTRAINED = {("max_return", True, "matrix-climbing", name) for name in ("iql", "vdn", "qmix")} | {
-    ("max_return", False, f"matrix-penalty-{k}", name) for k in (25, 50, 75, 100) for name in ("vdn", "qmix")
+UNTRAINED = {("max_return", SHARED, "matrix-climbing", name) for name in ("iql", "vdn", "qmix")} | {
+    ("max_return", INDEPENDENT, f"matrix-penalty-{k}", name) for k in (25, 50, 75, 100) for name in ("vdn", "qmix")
 }
 
-Key = tuple[str, bool, str, str]  # metric, sharing, the paper's task, algorithm
+Key = tuple[str, str, str, str]  # metric, sharing, the paper's task, algorithm
 
 
 class NotMeasured(Exception):
@@ -123,7 +133,7 @@ class View:
 
     def __init__(self, cells: dict[Key, Cell]):
         self.cells = cells
-        self.kept: dict[tuple[bool, str, str], dict[str, float]] = {}
+        self.kept: dict[tuple[str, str, str], dict[str, float]] = {}
 
     @classmethod
     def of(cls, cells: pd.DataFrame) -> "View":
@@ -142,14 +152,14 @@ class View:
             found[metric, *where] = found["average_return", *where]
         return cls(found)
 
-    def cell(self, metric: str, sharing: bool, task: str, algorithm: str) -> Cell:
+    def cell(self, metric: str, sharing: str, task: str, algorithm: str) -> Cell:
         """One cell. Raises NotMeasured."""
         try:
             return self.cells[metric, sharing, task, algorithm]
         except KeyError:
             raise NotMeasured from None
 
-    def values(self, metric: str, sharing: bool, task: str) -> dict[str, float]:
+    def values(self, metric: str, sharing: str, task: str) -> dict[str, float]:
         """All nine algorithms' values. Raises NotMeasured."""
         key = sharing, metric, task
         if key not in self.kept:
@@ -181,11 +191,11 @@ class Scope:
 
     def cell(self, algorithm: str) -> Cell:
         """An algorithm's cell."""
-        return self.view.cell(self.metric, True, self.place, algorithm)
+        return self.view.cell(self.metric, SHARED, self.place, algorithm)
 
     def values(self) -> dict[str, float]:
         """All nine algorithms' values."""
-        return self.view.values(self.metric, True, self.place)
+        return self.view.values(self.metric, SHARED, self.place)
 
     def value(self, algorithm: str) -> float:
         """An algorithm's value; in a family the mean of its scaled values."""
@@ -209,7 +219,7 @@ class Scope:
     @property
     def improved(self) -> int:
         pairs = [
-            [self.view.cell(self.metric, sharing, self.place, name).value for sharing in (True, False)]
+            [self.view.cell(self.metric, sharing, self.place, name).value for sharing in SHARING.values()]
             for name in ALGORITHMS
         ]
         return sum(with_sharing > without for with_sharing, without in pairs)
@@ -399,7 +409,7 @@ class Claim:
             algorithms = [name for name in ALGORITHMS if name in named]
         for place in self.places:
             for task in SETS.get(place, (place,)):
-                for sharing in (True, False) if alone else (True,):
+                for sharing in SHARING.values() if alone else (SHARED,):
                     yield from ((self.metric, sharing, task, name) for name in algorithms)
 
     def judge(self, view: View) -> Verdict:
@@ -477,11 +487,11 @@ def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, flo
     returns are equal do not count; where there are no others, both means are 0."""
     shared, alone = [], []
     for task in tasks:
-        values = {sharing: [*view.values("max_return", sharing, task).values()] for sharing in (True, False)}
-        low, high = min(values[True] + values[False]), max(values[True] + values[False])
+        values = {sharing: [*view.values("max_return", sharing, task).values()] for sharing in SHARING.values()}
+        low, high = min(values[SHARED] + values[INDEPENDENT]), max(values[SHARED] + values[INDEPENDENT])
         if high > low:
-            shared += [(value - low) / (high - low) for value in values[True]]
-            alone += [(value - low) / (high - low) for value in values[False]]
+            shared += [(value - low) / (high - low) for value in values[SHARED]]
+            alone += [(value - low) / (high - low) for value in values[INDEPENDENT]]
     return sum(shared) / max(len(shared), 1), sum(alone) / max(len(alone), 1)
 
 
@@ -492,7 +502,7 @@ def sharing_significant(view: View) -> Verdict:
         for name in ALGORITHMS:
             try:
                 scope = Scope(view, task, "max_return")
-                one, two = (view.cell("max_return", sharing, task, name) for sharing in (True, False))
+                one, two = (view.cell("max_return", sharing, task, name) for sharing in SHARING.values())
                 if one.value > two.value and scope.decided(one, two):
                     found.append(f"{name.upper()} on {task} ({one.value:.2f}, {two.value:.2f} without)")
             except NotMeasured:
@@ -557,7 +567,7 @@ def completed(view: View, paper: View) -> list[View]:
     return [View(view.cells | {key: cells[draw] for key, cells in drawn.items()}) for draw in range(DRAWS)]
 
 
-def judge(cells: pd.DataFrame, hours: dict[tuple[bool, str, str], float] | None = None) -> list[Verdict]:
+def judge(cells: pd.DataFrame, hours: dict[tuple[str, str, str], float] | None = None) -> list[Verdict]:
     """The verdict on each of CLAIMS in these cells.
 
     hours: CPU hours of a run by sharing, the paper's task and algorithm, to say what one seed more would cost.
@@ -569,7 +579,7 @@ def judge(cells: pd.DataFrame, hours: dict[tuple[bool, str, str], float] | None 
 
 
 def one_verdict(
-    claim: Claim, view: View, tables: list[View], few: set[Key], hours: dict[tuple[bool, str, str], float]
+    claim: Claim, view: View, tables: list[View], few: set[Key], hours: dict[tuple[str, str, str], float]
 ) -> Verdict:
     """The verdict on one claim; tables: `completed`; few: the cells with fewer than five seeds."""
     found = claim.judge(view)
@@ -615,7 +625,7 @@ def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
     return {key for key in cells if key[3] in claim.named or best[key]} or cells
 
 
-def cells_text(words: str, cells: set[Key], hours: dict[tuple[bool, str, str], float]) -> str:
+def cells_text(words: str, cells: set[Key], hours: dict[tuple[str, str, str], float]) -> str:
     """How many cells with fewer than five seeds there are, on which tasks, and what one seed more of each costs."""
     tasks = [task for task in TASKS if any(key[2] == task for key in cells)]
     shown = ", ".join(tasks[:MOST_SHOWN]) + (", ..." if len(tasks) > MOST_SHOWN else "")

@@ -49,7 +49,7 @@ def run_directories(folder: Path) -> Iterator[Path]:
 def last_returns(results: Path = store.RESULTS) -> pd.Series:
     """Mean returns at the last evaluation by (task, algorithm), with sharing and the paper's setting."""
     cells = our_cells(store.load(results))
-    chosen = cells[(cells["metric"] == "last_return") & cells["sharing"] & ~cells["other_budget"]]
+    chosen = cells[(cells["metric"] == "last_return") & (cells["sharing"] == store.SHARED) & ~cells["other_budget"]]
     return chosen.set_index(["task", "algorithm"])["mean"]
 
 

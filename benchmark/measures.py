@@ -122,10 +122,10 @@ def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:
     return chosen.dropna(subset=["normalised"])
 
 
-def final_scores(normalised: pd.DataFrame) -> dict[tuple[str, bool], dict[str, np.ndarray]]:
+def final_scores(normalised: pd.DataFrame) -> dict[tuple[str, str], dict[str, np.ndarray]]:
     """For each (algorithm, sharing) and task the seeds' normalised returns at the last point."""
     last = normalised.sort_values("point").groupby([*KEY, "seed"]).last().reset_index()
-    scores: dict[tuple[str, bool], dict[str, np.ndarray]] = {}
+    scores: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for (task, algorithm, sharing), rows in last.groupby(["task", "algorithm", "sharing"]):
         scores.setdefault((algorithm, sharing), {})[task] = rows["normalised"].to_numpy()
     return scores
@@ -197,7 +197,7 @@ def cpu_hours(evaluations: pd.DataFrame) -> pd.DataFrame:
     return runs.groupby(["family", "algorithm", "sharing"]).agg(runs="count", total="sum", mean="mean")
 
 
-def hours_of_cells(evaluations: pd.DataFrame) -> dict[tuple[bool, str, str], float]:
+def hours_of_cells(evaluations: pd.DataFrame) -> dict[tuple[str, str, str], float]:
     """Mean CPU hours of a run by sharing, the paper's task and algorithm; evaluations of the tables."""
     runs = evaluations.groupby(["sharing", "task", "algorithm", "seed"])["cpu_seconds"].max() / 3600
     means = runs.groupby(["sharing", "task", "algorithm"]).mean()

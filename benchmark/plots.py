@@ -28,7 +28,15 @@ from PIL import Image, PngImagePlugin
 
 from benchmark import measures
 from benchmark.measures import interval
-from benchmark.store import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order
+from benchmark.store import (
+    ALGORITHMS,
+    FAMILIES,
+    INDEPENDENT,
+    PAPER_CPU_HOURS,
+    PAPER_RUNS,
+    SHARED,
+    algorithm_order,
+)
 from benchmark.tables import in_order
 
 COLOURS = {
@@ -46,7 +54,7 @@ LINES: dict[str, Any] = {name: (0, (5, 2)) for name in ("iql", "vdn", "qmix")} |
     name: (0, (1.5, 1)) for name in ("maddpg", "coma")
 }
 OTHER_COLOUR = "black"
-SHARING = {True: "with parameter sharing", False: "without parameter sharing"}
+SHARING = {SHARED: "with parameter sharing", INDEPENDENT: "without parameter sharing"}
 DOTS_PER_INCH = 110
 PNG_COLOURS = 64
 LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
@@ -151,7 +159,7 @@ def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataF
         yield algorithm, curves.loc[algorithm]
 
 
-def learning_curves(evaluations: pd.DataFrame, family: str, sharing: bool) -> Figure:
+def learning_curves(evaluations: pd.DataFrame, family: str, sharing: str) -> Figure:
     """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds; evaluations from
     `results.in_tables`."""
     chosen = evaluations[(evaluations["family"] == family) & (evaluations["sharing"] == sharing)]
@@ -189,7 +197,7 @@ def set_family_title(panel: Axes, family: str, rows: pd.DataFrame) -> None:
     panel.text(0.5, 1.02, small, fontsize=6.5, ha="center", transform=panel.transAxes)
 
 
-def normalised_curves(normalised: pd.DataFrame, sharing: bool) -> Figure:
+def normalised_curves(normalised: pd.DataFrame, sharing: str) -> Figure:
     """Normalised returns over training, a panel for each family: means over tasks with 95 % intervals."""
     chosen = normalised[normalised["sharing"] == sharing]
     families = [family for family in FAMILIES if (chosen["family"] == family).any()]
@@ -211,19 +219,19 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
     families = [family for family in FAMILIES if family in sides["ours"].index]
     figure, (panel,) = panels(1, 1, "", "normalised maximum return")
     place = np.arange(len(families))
-    for number, (whose, sharing) in enumerate((whose, sharing) for whose in sides for sharing in (True, False)):
+    for number, (whose, sharing) in enumerate((whose, sharing) for whose in sides for sharing in SHARING):
         rows = sides[whose].xs(sharing, level="sharing").reindex(families)
         panel.bar(
             place + 0.2 * (number - 1.5),
             rows["mean"],
             0.18,
             yerr=rows["error"],
-            color="#332288" if sharing else "#DDCC77",
+            color="#332288" if sharing == SHARED else "#DDCC77",
             alpha=1.0 if whose == "ours" else 0.45,
             label=f"{whose}, {SHARING[sharing]}",
         )
     figure.suptitle("Maximum returns with and without parameter sharing")
-    pairs = sides["ours"].xs(True, level="sharing").reindex(families)["count"]
+    pairs = sides["ours"].xs(SHARED, level="sharing").reindex(families)["count"]
     panel.set_xticks(place, [f"{FAMILIES[family]}\n({count:.0f} pairs)" for family, count in zip(families, pairs)])
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
@@ -237,7 +245,7 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
     for family, panel in zip(families, axes):
         rows = hours.loc[family]
         for place, algorithm in enumerate(algorithms):
-            for sharing, shift, alpha in ((True, -0.2, 1.0), (False, 0.2, 0.45)):
+            for sharing, shift, alpha in ((SHARED, -0.2, 1.0), (INDEPENDENT, 0.2, 0.45)):
                 if (algorithm, sharing) in rows.index:
                     mean = rows.loc[(algorithm, sharing), "mean"]
                     panel.bar(place + shift, mean, 0.38, color=style(algorithm)["color"], alpha=alpha)
@@ -247,8 +255,8 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
         panel.set_xticks(range(len(algorithms)), [name.upper() for name in algorithms], rotation=60)
         panel.set_title(FAMILIES[family])
     figure.suptitle("CPU hours of one training run")
-    handles: list[Artist] = [Patch(color="black", label=SHARING[True])]
-    handles.append(Patch(color="black", alpha=0.45, label=SHARING[False]))
+    handles: list[Artist] = [Patch(color="black", label=SHARING[SHARED])]
+    handles.append(Patch(color="black", alpha=0.45, label=SHARING[INDEPENDENT]))
     handles.append(Line2D([], [], color="black", lw=1, linestyle="--", label="the paper's mean over all its runs"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     return figure
@@ -280,7 +288,7 @@ def simulation_speed(speeds: pd.DataFrame) -> Figure:
     return figure
 
 
-def profiles(normalised: pd.DataFrame, sharing: bool) -> Figure:
+def profiles(normalised: pd.DataFrame, sharing: str) -> Figure:
     """Performance profiles of each family: the share of runs whose last evaluation is above a normalised return. With
     bootstrap intervals where all tasks have several seeds."""
     chosen = normalised[normalised["sharing"] == sharing]

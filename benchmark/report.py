@@ -53,7 +53,6 @@ from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
-FILE = {True: "shared", False: "independent"}
 
 
 class Report:
@@ -76,13 +75,13 @@ class Report:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
         for family in FAMILIES:
-            for sharing, name in FILE.items():
+            for sharing in plots.SHARING:
                 if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
-                    made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
-        for sharing, name in FILE.items():
+                    made[f"curves-{family}-{sharing}"] = partial(plots.learning_curves, self.shown, family, sharing)
+        for sharing in plots.SHARING:
             if (self.normalised["sharing"] == sharing).any():
-                made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
-                made[f"profiles-{name}"] = partial(plots.profiles, self.normalised, sharing)
+                made[f"normalised-{sharing}"] = partial(plots.normalised_curves, self.normalised, sharing)
+                made[f"profiles-{sharing}"] = partial(plots.profiles, self.normalised, sharing)
         if len(measures.sharing_means(self.ours)):
             made["sharing"] = partial(plots.sharing_effect, self.ours, self.paper)
         if len(self.hours):
@@ -140,7 +139,7 @@ class Report:
                 tables.TITLES[cell.metric],
                 cell.task,
                 cell.algorithm.upper(),
-                "yes" if cell.sharing else "no",
+                cell.sharing,
                 str(cell.seeds),
                 tables.number(cell.value, cell.interval),
                 tables.number(cell.paper_mean, cell.paper_interval),
@@ -151,7 +150,7 @@ class Report:
         ]
         return tables.to_markdown(header, body) if body else "None."
 
-    def interquartile_means(self, sharing: bool) -> str:
+    def interquartile_means(self, sharing: str) -> str:
         """By algorithm and family, with intervals where all tasks have several seeds; tasks and runs in brackets."""
         families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
         scores = {name: measures.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
@@ -166,7 +165,7 @@ class Report:
                 body.append([algorithm.upper(), *cells])
         return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
 
-    def improvements(self, sharing: bool) -> str:
+    def improvements(self, sharing: str) -> str:
         """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
         scores = measures.final_scores(self.normalised)
         present = algorithm_order(name for name, with_sharing in scores if with_sharing == sharing)
@@ -189,7 +188,7 @@ class Report:
         families = [name for name in FAMILIES if name in self.hours.index.get_level_values("family")]
         body = []
         for algorithm in algorithm_order(self.hours.index.get_level_values("algorithm")):
-            for sharing in (True, False):
+            for sharing in plots.SHARING:
                 keys = [(name, algorithm, sharing) for name in families]
                 rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]
                 cells = ["" if row is None else f"{row['mean']:.3f} ({row['runs']:.0f})" for row in rows]
@@ -381,7 +380,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
             for row in run.itertuples()
         }
         steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
-        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
+        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{sharing}", {})
         runs[f"seed_{seed}"] = steps
     return made
 

@@ -47,7 +47,8 @@ PAPER_SETTING = "{}"
 # In these tasks the paper's teams played against trained networks of its own. Its rows are compared with runs against
 # those, which have this fingerprint; runs against our own opponents have tables of their own.
 PAPER_OPPONENTS = {"mpe-adversary": "915a50e2ce129bc1", "mpe-tag": "ab8fed43e248e85a"}
-SHARING = {True: "shared", False: "independent"}  # --parameter-sharing in names and tables
+SHARED, INDEPENDENT = "shared", "independent"  # with and without parameter sharing, in names and tables
+SHARING = {True: SHARED, False: INDEPENDENT}
 KEY = ["task", "algorithm", "sharing", "setting"]
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
 SECONDS = ["wall_seconds", "cpu_seconds"]
@@ -187,7 +188,7 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
             "task": flags["env"],
             "family": family(flags["env"]),
             "algorithm": settings["algorithm"],
-            "sharing": flags["parameter_sharing"],
+            "sharing": SHARING[flags["parameter_sharing"]],
             "setting": setting_name(settings["changed"]),
             "total_timesteps": flags["total_timesteps"],
             "paper_timesteps": settings["paper_timesteps"],
@@ -406,10 +407,10 @@ def merge(
 
 # --- the paper's tables, and speeds ---
 def paper_cells() -> pd.DataFrame:
-    """The paper's tables, a row for each cell: metric (max_return, average_return, max_win_rate), sharing (bool), task,
-    algorithm, mean, interval, seeds, mark ("best", "not significantly different" or nothing)."""
+    """The paper's tables, a row for each cell: metric (max_return, average_return, max_win_rate), sharing ("shared" or
+    "independent"), task, algorithm, mean, interval, seeds, mark ("best", "not significantly different" or nothing)."""
     table = pd.read_csv(PAPER / "returns.csv", keep_default_na=False)
-    table = table.assign(sharing=table["parameter_sharing"] == "yes", seeds=PAPER_SEEDS)
+    table = table.assign(sharing=(table["parameter_sharing"] == "yes").map(SHARING), seeds=PAPER_SEEDS)
     return table.rename(columns={"ci95": "interval"}).drop(columns="parameter_sharing")
 
 

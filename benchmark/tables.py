@@ -16,7 +16,7 @@ from scipy.stats import ttest_ind_from_stats
 
 from benchmark.agreement import half_width
 from benchmark.measures import summarise
-from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family
+from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, SHARED, algorithm_order, family
 
 SIGNIFICANCE = 0.05
 TITLES = {
@@ -166,7 +166,7 @@ def rows(cells: pd.DataFrame, algorithms: list[str], *texts: Callable[[Any], str
     return found
 
 
-def lines(both: pd.DataFrame, metric: str, sharing: bool) -> list[list[str]]:
+def lines(both: pd.DataFrame, metric: str, sharing: str) -> list[list[str]]:
     """A table's lines: task, whose, a cell in Markdown for each of `columns`. Up to three a task: ours, the
     paper's, the difference."""
     chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
@@ -184,7 +184,7 @@ def to_markdown(header: list[str], body: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, ["---"] * len(header), *body])
 
 
-def markdown(both: pd.DataFrame, metric: str, sharing: bool) -> str:
+def markdown(both: pd.DataFrame, metric: str, sharing: str) -> str:
     """One of the paper's tables in Markdown; nothing where we have no result for it."""
     body = lines(both, metric, sharing)
     return to_markdown(["task", "", *map(str.upper, columns(both))], body) if body else ""
@@ -196,7 +196,7 @@ SHOWN = ("matrix-climbing", "mpe-speaker-listener", "smaclite-2s_vs_1sc-sc2", "l
 
 def short(both: pd.DataFrame) -> str:
     """Average returns with sharing and the paper's budget, one line for each of a few tasks."""
-    chosen = both[(both["metric"] == "average_return") & both["sharing"] & ~both["other_budget"]]
+    chosen = both[(both["metric"] == "average_return") & (both["sharing"] == SHARED) & ~both["other_budget"]]
     chosen = chosen[chosen["task"].isin(SHOWN)]
     body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, columns(both), short_text).items()]
     return to_markdown(["task", *map(str.upper, columns(both))], body)
@@ -221,9 +221,8 @@ def variants(evaluations: pd.DataFrame, shown: pd.DataFrame | None = None) -> st
             continue
         flags = ", ".join(f"{name} {value}" for name, value in json.loads(row.setting).items()).replace("|", r"\|")
         pairs = [(getattr(row, name), getattr(row, f"{name}_interval")) for name in ("maximum", "average", "last")]
-        shared = "yes" if row.sharing else "no"
         values = [number(*pair) for pair in pairs]
-        body.append([row.task, row.algorithm.upper(), shared, flags, str(row.seeds), *values])
+        body.append([row.task, row.algorithm.upper(), row.sharing, flags, str(row.seeds), *values])
     header = ["task", "algorithm", "sharing", "changed flags", "seeds", "maximum", "average", "last"]
     return to_markdown(header, body) if body else ""
 

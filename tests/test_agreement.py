@@ -38,7 +38,7 @@ def cells(*rows):
     """Compared cells: (task, algorithm, metric, mean, interval, seeds, the paper's mean and interval)."""
     names = ["task", "algorithm", "metric", "mean", "interval", "seeds", "paper_mean", "paper_interval"]
     made = pd.DataFrame(rows, columns=names).assign(
-        sharing=True, paper_task=lambda each: each["task"].map(store.paper_task)
+        sharing="shared", paper_task=lambda each: each["task"].map(store.paper_task)
     )
     width = agreement.half_width(made["interval"], made["seeds"], made["paper_interval"])
     return made.assign(difference=(made["mean"] - made["paper_mean"]) / width)
@@ -90,7 +90,7 @@ def test_the_bias_of_a_maximum_of_one_seed():
 
 def write_runs(folder, task, algorithm, changed, returns):
     """A table of one seed, as collect.py leaves it."""
-    path = store.table_path(folder, algorithm, task, True, changed)
+    path = store.table_path(folder, algorithm, task, "shared", changed)
     path.parent.mkdir(parents=True, exist_ok=True)
     names = "seed,point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"
     lines = [f"0,{point},{point * 1000},1,3600,{value},0.5,25.0" for point, value in enumerate(returns)]

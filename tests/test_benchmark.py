@@ -462,7 +462,7 @@ def test_each_seed_must_reach_the_end(tmp_path):
 # ---------------------------------------------------------------------------------------------------- what tables say
 
 
-def evaluations(curves, task="matrix-climbing", algorithm="mappo", sharing=True, changed=None, budget=2_500_000):
+def evaluations(curves, task="matrix-climbing", algorithm="mappo", sharing="shared", changed=None, budget=2_500_000):
     """Evaluations in the form of `store.load`; curves: a list of returns for each seed."""
     rows = [
         {"seed": seed, "point": point, "timestep": point * budget // max(1, len(curve) - 1), "return_mean": value}
@@ -508,27 +508,27 @@ def test_the_papers_marks_come_out_of_its_own_numbers():
     marked = paper[paper["metric"] == "max_return"]
     ours = tables.with_marks(marked.rename(columns={"mark": "printed"}))
     family = ours["task"].map(store.family)
-    prints = ours["sharing"] | (family != "matrix")
+    prints = (ours["sharing"] == "shared") | (family != "matrix")
     assert ((ours["mark"] == "best") == (ours["printed"] == "best"))[prints].all()
     different = ours[(ours["mark"] != ours["printed"]) & (family != "matrix")]
     assert set(different[["sharing", "task", "algorithm"]].itertuples(index=False, name=None)) == {
-        (True, "mpe-speaker-listener", "ippo"),
-        (True, "mpe-tag", "maa2c"),
-        (True, "smac-2s_vs_1sc", "ippo"),
-        (True, "lbf-10x10-3p-3f", "mappo"),
-        (False, "smac-corridor", "iql"),
-        (False, "smac-corridor", "ippo"),
+        ("shared", "mpe-speaker-listener", "ippo"),
+        ("shared", "mpe-tag", "maa2c"),
+        ("shared", "smac-2s_vs_1sc", "ippo"),
+        ("shared", "lbf-10x10-3p-3f", "mappo"),
+        ("independent", "smac-corridor", "iql"),
+        ("independent", "smac-corridor", "ippo"),
     }
 
 
 def test_the_papers_impossible_cells():
     paper = store.paper_cells()
     found = paper[tables.impossible(paper) & (paper["metric"] == "max_return")]
-    wrong = {(False, "lbf-8x8-2p-2f-c", "qmix"), (True, "lbf-15x15-4p-5f", "maddpg")}
+    wrong = {("independent", "lbf-8x8-2p-2f-c", "qmix"), ("shared", "lbf-15x15-4p-5f", "maddpg")}
     for task in ("lbf-10x10-3p-3f", "lbf-10x10-3p-3f-2s", "lbf-15x15-4p-3f"):
-        wrong |= {(False, task, name) for name in ("iql", "vdn", "qmix")}
+        wrong |= {("independent", task, name) for name in ("iql", "vdn", "qmix")}
     for task in ("lbf-15x15-3p-5f", "lbf-15x15-4p-5f"):
-        wrong |= {(False, task, name) for name in ("vdn", "qmix")}
+        wrong |= {("independent", task, name) for name in ("vdn", "qmix")}
     assert set(found[["sharing", "task", "algorithm"]].itertuples(index=False, name=None)) == wrong
 
 
@@ -560,15 +560,15 @@ def test_the_signs_of_cells():
     longer = evaluations([[1, 99]] * 5, algorithm="qmix", changed={"total_timesteps": 9_000_000}, budget=9_000_000)
     other = evaluations([[1, 99]] * 5, algorithm="qmix", changed={"network": "gru"})
     both = compared(few, short, whole, longer, other)
-    header, _, ours, paper, _ = tables.markdown(both, "max_return", True).splitlines()
+    header, _, ours, paper, _ = tables.markdown(both, "max_return", "shared").splitlines()
     cells = dict(zip(header.split(" | "), ours.split(" | ")))
     assert cells["MAPPO"] == "**9.00 ± 0.00** ²°" and cells["IA2C"] == "5.00 ± 0.00 †"
     assert cells["QMIX |"] == "**9.00 ± 0.00** |"  # printed like the best, so bold as well
     assert paper.split(" | ")[1] == "paper" and "195.00" not in paper and "175.00 ± 0.00" in paper
     many = compared(evaluations([[0, 1]] * 10))
-    assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", True)
-    averages = tables.markdown(both, "average_return", True).splitlines()
-    for lines in (averages, tables.markdown(both, "max_return", True).splitlines()):
+    assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", "shared")
+    averages = tables.markdown(both, "average_return", "shared").splitlines()
+    for lines in (averages, tables.markdown(both, "max_return", "shared").splitlines()):
         assert dict(zip(header.split(" | "), lines[4].split(" | ")))["IA2C"] == "-"  # another budget
     assert "**" not in averages[2]
     listed = tables.variants(pd.concat([few, short, whole, longer, other]), pd.concat([few, short, whole]))
@@ -589,19 +589,19 @@ def test_asterisks_by_the_t_test():
     cells = [(runs.mean(), measures.interval(runs.std(ddof=1), len(runs)), len(runs)) for runs in (few, many)]
     assert ttest_ind(few, many).pvalue < 0.05 and not tables.same_mean(*cells[0], *cells[1])
     close = evaluations([[0, 8], [0, 9], [0, 10]]), evaluations([[0, 8], [0, 9], [0, 9.9]], algorithm="ia2c")
-    text = tables.markdown(compared(*close), "max_return", True)
+    text = tables.markdown(compared(*close), "max_return", "shared")
     assert "| **9.00 ± 1.15** ³ |" in text and r"| 8.97 ± 1.10\* ³ |" in text
 
 
 def test_what_cannot_be_is_shown_and_does_not_count():
     """The paper's IQL on 10x10-3p-3f without sharing has an average above its maximum."""
-    both = compared(evaluations([[1, 2]] * 5, task="lbf-10x10-3p-3f", algorithm="iql", sharing=False))
-    lines = tables.markdown(both, "max_return", False).splitlines()
+    both = compared(evaluations([[1, 2]] * 5, task="lbf-10x10-3p-3f", algorithm="iql", sharing="independent"))
+    lines = tables.markdown(both, "max_return", "independent").splitlines()
     assert "‡" in lines[3] and len(lines) == 4 and both["difference"].isna().all()
 
 
 def test_the_short_table_is_of_shared_parameters():
-    both = compared(evaluations([[9, 9]] * 5), evaluations([[4, 4]] * 5, sharing=False))
+    both = compared(evaluations([[9, 9]] * 5), evaluations([[4, 4]] * 5, sharing="independent"))
     assert "9.00" in tables.short(both) and "4.00" not in tables.short(both)
 
 
@@ -646,7 +646,7 @@ def test_win_rates_have_their_own_best_point():
 
 
 def test_normalised_by_the_range_over_both_sharings():
-    runs = pd.concat([evaluations([[0, 4]]), evaluations([[2, 8]], sharing=False)])
+    runs = pd.concat([evaluations([[0, 4]]), evaluations([[2, 8]], sharing="independent")])
     assert list(measures.normalise(runs)["normalised"]) == [0, 0.5, 0.25, 1]
     assert measures.normalise(evaluations([[3, 3]])).empty  # nothing ever changed
     assert measures.normalise(evaluations([[0, 4]], task="lbf-9x9-2p-2f")).empty  # not in the paper
@@ -655,7 +655,7 @@ def test_normalised_by_the_range_over_both_sharings():
 
 def test_final_scores_are_those_of_the_last_point():
     runs = measures.normalise(evaluations([[0, 4, 1], [0, 2, 3]]))
-    assert measures.final_scores(runs)["mappo", True]["matrix-climbing"].tolist() == [0.25, 0.75]
+    assert measures.final_scores(runs)["mappo", "shared"]["matrix-climbing"].tolist() == [0.25, 0.75]
 
 
 def test_intervals_of_the_bootstrap_leave_a_fortieth_out_at_each_end():
@@ -669,20 +669,21 @@ def test_intervals_of_the_bootstrap_leave_a_fortieth_out_at_each_end():
 
 def test_means_with_and_without_sharing_by_hand():
     """Two algorithms on one task, ranging from 0 to 4; runs with another budget do not count."""
-    values = {("mappo", True): 4, ("mappo", False): 0, ("ia2c", True): 2, ("ia2c", False): 4, ("coma", True): 3}
+    values = {("mappo", "shared"): 4, ("mappo", "independent"): 0, ("ia2c", "shared"): 2, ("ia2c", "independent"): 4}
+    values["coma", "shared"] = 3
     rows = [("max_return", *key, "matrix-climbing", float(value), False) for key, value in values.items()]
-    rows.append(("max_return", "qmix", True, "matrix-climbing", 99.0, True))
+    rows.append(("max_return", "qmix", "shared", "matrix-climbing", 99.0, True))
     columns = ["metric", "algorithm", "sharing", "task", "mean", "other_budget"]
     means = measures.sharing_means(pd.DataFrame(rows, columns=columns))
-    assert means.loc[("matrix", True), ["mean", "count"]].tolist() == [0.75, 2]  # coma has no other half
-    assert means.loc[("matrix", True), "error"] == pytest.approx(0.25)  # 1 and 0.5: s = 0.354, s / sqrt(2)
-    assert means.loc[("matrix", False), "error"] == pytest.approx(0.5)
+    assert means.loc[("matrix", "shared"), ["mean", "count"]].tolist() == [0.75, 2]  # coma has no other half
+    assert means.loc[("matrix", "shared"), "error"] == pytest.approx(0.25)  # 1 and 0.5: s = 0.354, s / sqrt(2)
+    assert means.loc[("matrix", "independent"), "error"] == pytest.approx(0.5)
 
 
 def test_cpu_hours_are_those_at_the_end_of_a_run():
     runs = evaluations([[0, 1, 2]] * 2).assign(cpu_seconds=[0, 1800, 3600, 0, 3600, 7200])
     other = evaluations([[0, 1]], task="matrix-penalty-0")  # two hours
-    assert measures.cpu_hours(pd.concat([runs, other])).loc[("matrix", "mappo", True)].tolist() == [3, 5, 5 / 3]
+    assert measures.cpu_hours(pd.concat([runs, other])).loc[("matrix", "mappo", "shared")].tolist() == [3, 5, 5 / 3]
 
 
 def test_interquartile_mean_by_hand():
@@ -715,12 +716,13 @@ def test_performance_profile_by_hand():
 
 def test_parameter_sharing_helps_everywhere_but_in_the_matrix_games_of_the_paper():
     means = measures.sharing_means(store.paper_cells())["mean"].unstack()
-    better = {name for name in means.index if means.loc[name, True] > means.loc[name, False]}
+    better = {name for name in means.index if means.loc[name, "shared"] > means.loc[name, "independent"]}
     assert better == {"mpe", "smac", "lbf", "rware"}
-    both = [evaluations([[0, 1]]), evaluations([[0, 3]], sharing=False)]
+    both = [evaluations([[0, 1]]), evaluations([[0, 3]], sharing="independent")]
     alone = evaluations([[0, 5]], algorithm="ia2c")  # counts for the range, but not as a pair
     found = measures.sharing_means(measures.our_cells(pd.concat([*both, alone])))
-    assert found["mean"].to_dict() == {("matrix", False): 0.5, ("matrix", True): 0} and set(found["count"]) == {1}
+    assert found["mean"].to_dict() == {("matrix", "independent"): 0.5, ("matrix", "shared"): 0}
+    assert set(found["count"]) == {1}
     assert measures.sharing_means(measures.our_cells(alone)).empty
 
 
@@ -733,7 +735,7 @@ def test_curves_have_the_width_of_their_runs():
     ):
         changed = {"total_timesteps": budget} if budget != 2_500_000 else {}
         rows = measures.in_tables(evaluations([[0, 1]] * 2, task=task, budget=budget, changed=changed))
-        figure = plots.learning_curves(rows, store.family(task), True)
+        figure = plots.learning_curves(rows, store.family(task), "shared")
         panel = figure.axes[0]
         assert panel.get_xlim() == pytest.approx((-0.02 * end, 1.02 * end))
         figure.draw_without_rendering()
@@ -745,7 +747,7 @@ def test_curves_have_the_width_of_their_runs():
 @pytest.mark.parametrize("seeds, bands", [(1, 0), (2, 1)])
 def test_profiles_of_single_seeds_have_no_interval(seeds, bands):
     both = [evaluations([[0, 1]] * 3), evaluations([[0, 1]] * seeds, task="matrix-penalty-0")]
-    figure = plots.profiles(measures.normalise(pd.concat(both)), True)
+    figure = plots.profiles(measures.normalise(pd.concat(both)), "shared")
     assert len(figure.axes[0].collections) == bands
     plots.plt.close(figure)
 
@@ -901,7 +903,7 @@ def test_panels_say_on_how_many_tasks_each_algorithm_was_run():
         ([*both, other], "Matrix games, 2 tasks", "run on so many of them: IA2C 2, MAPPO 1"),
     ):
         normalised = measures.normalise(pd.concat(runs))
-        for figure in (plots.normalised_curves(normalised, True), plots.profiles(normalised, True)):
+        for figure in (plots.normalised_curves(normalised, "shared"), plots.profiles(normalised, "shared")):
             (panel,) = figure.axes
             assert panel.get_title() == title and [text.get_text() for text in panel.texts] == [small]
             plots.plt.close(figure)

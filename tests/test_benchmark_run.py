@@ -1018,9 +1018,9 @@ class TestSearch:
         assert capsys.readouterr().out.splitlines() == [
             "| task | algorithm | sharing | changed flags | seeds | maximum | average | last |",
             "| --- | --- | --- | --- | --- | --- | --- | --- |",
-            "| matrix-climbing | IA2C | yes | learning_rate 1.0 | 3 | 40.00 ± 0.00 | 20.00 ± 0.00 | 40.00 ± 0.00 |",
-            "| matrix-climbing | IA2C | yes |  | 3 | 20.00 ± 0.00 | 10.00 ± 0.00 | 20.00 ± 0.00 |",
-            "| matrix-climbing | IA2C | yes | learning_rate 0.25 | 3 | 10.00 ± 0.00 | 5.00 ± 0.00 | 10.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | shared | learning_rate 1.0 | 3 | 40.00 ± 0.00 | 20.00 ± 0.00 | 40.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | shared |  | 3 | 20.00 ± 0.00 | 10.00 ± 0.00 | 20.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | shared | learning_rate 0.25 | 3 | 10.00 ± 0.00 | 5.00 ± 0.00 | 10.00 ± 0.00 |",
         ]
 
     def test_the_best_point_of_the_mean_and_then_the_average(self):
@@ -1029,7 +1029,7 @@ class TestSearch:
         curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
         curves["D"] = [[0, 0, 1]]
         rows = [
-            {"task": "lbf-5x5-2p-1f", "algorithm": "a", "sharing": True, "setting": json.dumps({"flag": name})}
+            {"task": "lbf-5x5-2p-1f", "algorithm": "a", "sharing": "shared", "setting": json.dumps({"flag": name})}
             | {"seed": seed, "point": point, "return_mean": float(value)}
             | {"total_timesteps": 80 if name == "D" else 40}
             for name, seeds in curves.items()

@@ -118,7 +118,7 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
 @pytest.mark.slow
 def test_the_command_of_a_result_names_its_runs():
     changed = {"total_timesteps": 3000000}
-    command = results_data.campaign("ia2c", "lbf-8x8-2p-2f-c", False, changed, 1)
+    command = results_data.campaign("ia2c", "lbf-8x8-2p-2f-c", "independent", changed, 1)
     plan, dashes, flags = command.partition(" -- ")
     words = [sys.executable, *shlex.split(f"{plan} --dry-run{dashes}{flags}")[1:]]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)

@@ -181,9 +181,9 @@ def test_the_lines_that_a_diff_shows(first, second, lines):
 FIGURES = ROOT / "docs" / "paper-run-again.md"
 
 
-@pytest.mark.parametrize("part", re.findall(r"\$ python docs/paper_run_again.py (\w+)", FIGURES.read_text()))
+@pytest.mark.parametrize("part", re.findall(r"\$ python tools/paper_run_again.py (\w+)", FIGURES.read_text()))
 def test_the_paper_run_again(part):
-    shown = re.search(rf"\$ python docs/paper_run_again.py {part}\n(.*?)```", FIGURES.read_text(), flags=re.DOTALL)
-    done = run("docs/paper_run_again.py", part, folder=ROOT)
+    shown = re.search(rf"\$ python tools/paper_run_again.py {part}\n(.*?)```", FIGURES.read_text(), flags=re.DOTALL)
+    done = run("tools/paper_run_again.py", part, folder=ROOT)
     assert done.returncode == 0, done.stderr
     assert shown is not None and shown[1] == done.stdout

@@ -279,7 +279,7 @@ class AlgorithmCurves(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         name = self.arguments[0]
         found: list[nodes.Node] = [nodes.paragraph("", CURVES)]
-        for sharing, words in ((True, "With parameter sharing"), (False, "Without parameter sharing")):
+        for sharing, words in (("shared", "With parameter sharing"), ("independent", "Without parameter sharing")):
             figures = []
             for task in results_data.paper_tasks():
                 chart = charts.learning_curves(task, sharing, [name])

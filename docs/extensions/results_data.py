@@ -1,6 +1,7 @@
 """All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
 
 import json
+import shlex
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,7 +18,6 @@ FIGURES = ROOT / "benchmark" / "figures"
 RESULTS = store.RESULTS
 OTHER_COLOUR = "#666666"
 TITLES = tables.TITLES
-SHARING = {"shared": True, "independent": False}
 
 
 @lru_cache
@@ -67,7 +67,7 @@ def cells(metric: str) -> pd.DataFrame:
 
 
 @lru_cache
-def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]]:
+def paper_values(metric: str) -> dict[tuple[str, str, str], tuple[float, float]]:
     """The paper's mean and interval by our task, algorithm and sharing."""
     table = report().paper
     chosen = table[table["metric"] == metric]
@@ -76,7 +76,7 @@ def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]
     return {(ours[task], *key): value for (task, *key), value in known.items() if task in ours}
 
 
-def marks(algorithm: str, task: str, sharing: bool, metric: str) -> str:
+def marks(algorithm: str, task: str, sharing: str, metric: str) -> str:
     """The signs of the tables' legend that belong to a cell of ours."""
     chosen = cells(metric)
     chosen = chosen[(chosen["algorithm"] == algorithm) & (chosen["task"] == task) & (chosen["sharing"] == sharing)]
@@ -84,7 +84,7 @@ def marks(algorithm: str, task: str, sharing: bool, metric: str) -> str:
 
 
 @lru_cache
-def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
+def tables_of_results() -> dict[tuple[str, str, str], tuple[Path, dict]]:
     """The table behind each cell: its path without the suffix, and the flags that differ from the paper's."""
     shown = report().shown
     found = {}
@@ -92,19 +92,19 @@ def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
         shown[["task", "algorithm", "sharing", "setting"]].drop_duplicates().itertuples(index=False, name=None)
     ):
         changed = json.loads(setting)
-        path = store.table_path(RESULTS, algorithm, task, store.SHARING[sharing], changed)
+        path = store.table_path(RESULTS, algorithm, task, sharing, changed)
         found[task, algorithm, sharing] = path, changed
     return found
 
 
-def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int) -> str:
+def campaign(algorithm: str, task: str, sharing: str, changed: dict, seeds: int) -> str:
     """The command that makes a cell."""
     words = [f"python benchmark/run.py --algorithms {algorithm} --tasks {task} --seeds {seeds}"]
-    if not sharing:
-        words.append("--sharing independent")
+    if sharing != store.SHARED:
+        words.append(f"--sharing {sharing}")
     if changed:
         words.append("--")
-        words += [f"--{name.replace('_', '-')} {value}" for name, value in sorted(changed.items())]
+        words += [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in sorted(changed.items())]
     return " ".join(words)
 
 

@@ -16,7 +16,7 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-WORDS = {True: "with parameter sharing", False: "without parameter sharing"}
+WORDS = {"shared": "with parameter sharing", "independent": "without parameter sharing"}
 FILMS = script.ROOT / "docs" / "films"
 
 
@@ -30,9 +30,9 @@ def algorithms() -> list[str]:
     return [*results_data.ALGORITHMS]
 
 
-def sharing(argument: str) -> bool:
+def sharing(argument: str) -> str:
     """An option's value: shared or independent."""
-    return results_data.SHARING[directives.choice(argument, tuple(results_data.SHARING))]
+    return directives.choice(argument, tuple(WORDS))
 
 
 def text_of_cell(cell: Any, anchor: str, root: str) -> str:
@@ -54,9 +54,9 @@ def csv_name(path: Path) -> str:
     return f"results/{path.parent.name}/{path.name}.csv"
 
 
-def cell_name(task: str, algorithm: str, shared: bool) -> str:
+def cell_name(task: str, algorithm: str, shared: str) -> str:
     """The id of a cell's command on the page of data."""
-    return f"{task}-{algorithm}-{'shared' if shared else 'independent'}"
+    return f"{task}-{algorithm}-{shared}"
 
 
 class Directive(SphinxDirective):
@@ -66,7 +66,7 @@ class Directive(SphinxDirective):
         """The way from this page to the site's first folder."""
         return "../" * self.env.docname.count("/")
 
-    def table(self, metric: str, shared: bool) -> str:
+    def table(self, metric: str, shared: str) -> str:
         """One of the paper's tables in HTML, sortable by each column; nothing where we have no result for it."""
         cells = results_data.cells(metric)
         cells = cells[cells["sharing"] == shared].rename(columns={"mean": "value"})
@@ -99,7 +99,7 @@ class Curves(Directive):
     option_spec = {"sharing": sharing, "algorithms": directives.unchanged}  # noqa: RUF012
 
     def run(self) -> list[nodes.Node]:
-        shared = self.options.get("sharing", True)
+        shared = self.options.get("sharing", "shared")
         names = self.options.get("algorithms", " ".join(algorithms())).split()
         found: list[str] = []
         missing: list[str] = []
@@ -166,7 +166,7 @@ class SeedsMap(Directive):
             columns = []
             for name in algorithms():
                 halves = ""
-                for shared, word in ((True, "with sharing"), (False, "without")):
+                for shared, word in (("shared", "with sharing"), ("independent", "without")):
                     seeds = int(last.get((task, name, shared), 0))
                     other = seeds and results_data.tables_of_results()[task, name, shared][1]
                     mark = "†" if other else ""
@@ -206,12 +206,11 @@ class DataList(Directive):
             rows = []
             for name, shared, path, changed, number in sorted(
                 by_task[task],
-                key=lambda row: (not row[1], algorithms().index(row[0]) if row[0] in algorithms() else 99),
+                key=lambda row: (row[1] != "shared", algorithms().index(row[0]) if row[0] in algorithms() else 99),
             ):
                 command = results_data.campaign(name, task, shared, changed, number)
-                kind = "shared" if shared else "independent"
                 rows.append(
-                    f'<tr id="{cell_name(task, name, shared)}"><td>{name.upper()}, {kind}</td>'
+                    f'<tr id="{cell_name(task, name, shared)}"><td>{name.upper()}, {shared}</td>'
                     f'<td><a href="{csv_name(path)}">CSV</a>, <a href="{csv_name(path)[:-3]}json">JSON</a></td>'
                     f"<td><code>{html.escape(command)}</code></td></tr>"
                 )
@@ -291,9 +290,7 @@ def write_data(static: Path) -> None:
     write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
     (static / "explorer").mkdir(exist_ok=True)
     for task in tasks:
-        shown = {
-            name: charts.learning_curves(task, value, algorithms()) for name, value in results_data.SHARING.items()
-        }
+        shown = {sharing: charts.learning_curves(task, sharing, algorithms()) for sharing in WORDS}
         write_script(static / "explorer" / f"{task}.js", f"window.explorerTasks[{json.dumps(task)}]", shown)
 
 

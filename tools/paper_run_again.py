@@ -1,7 +1,7 @@
 """The figures of the page "The paper, run again", from the paper's tables, benchmark/results and what is tested.
 
-    python docs/paper_run_again.py opponents
-    python docs/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
+    python tools/paper_run_again.py opponents
+    python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
 
 `PARTS` at the end lists the parts. Probes of the paper's networks need its files, which are not in this repository;
 examples/paper_opponents.py converts them.
@@ -16,24 +16,25 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmark import agreement, claims
+from benchmark.measures import interval
+from benchmark.report import Report
+from benchmark.store import FAMILIES, INDEPENDENT, RESULTS, SHARED, paper_cells
+
 ROOT = Path(__file__).resolve().parents[1]
-BENCHMARK = ROOT / "benchmark"
-sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "tests")]
-
-from benchmark import agreement, claims  # noqa: E402
-from benchmark.measures import interval  # noqa: E402
-from benchmark.report import Report  # noqa: E402
-from benchmark.store import FAMILIES, RESULTS, paper_cells  # noqa: E402
-
 ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
 OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
 MATRIX = ["matrix-climbing", *(f"matrix-penalty-{k}" for k in (0, 25, 50, 75, 100))]
-SHARING = {True: "with sharing", False: "without"}
+SHARING = {SHARED: "with sharing", INDEPENDENT: "without"}
 TRAINED_AGAINST = ("mpe-adversary", "mpe-tag")
 
 
@@ -43,20 +44,20 @@ def report() -> Report:
     return Report(RESULTS)
 
 
-def curves(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: bool = True) -> pd.DataFrame:
+def curves(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
     """The returns of one table: [point, seed]."""
     chosen = evaluations[(evaluations["task"] == task) & (evaluations["algorithm"] == algorithm)]
     chosen = chosen[chosen["sharing"] == sharing]
     return chosen.pivot(index="point", columns="seed", values="return_mean")
 
 
-def ours(task: str, algorithm: str, sharing: bool = True) -> pd.DataFrame:
+def ours(task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
     """The returns of one of our tables: [point, seed]."""
     return curves(report().shown, task, algorithm, sharing)
 
 
 @functools.cache
-def paper(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]]:
+def paper(metric: str) -> dict[tuple[str, str, str], tuple[float, float]]:
     """(task, algorithm, sharing) -> (mean, interval) of one of the paper's tables."""
     cells = paper_cells()
     cells = cells[cells["metric"] == metric]
@@ -148,7 +149,7 @@ def climbing() -> None:
 def untrained() -> None:
     """What the networks of the matrix games return before training, where the paper's maximum lies there."""
     for algorithm in ("iql", "vdn", "qmix"):
-        for task, sharing in (("matrix-climbing", True), ("matrix-penalty-100", False)):
+        for task, sharing in (("matrix-climbing", SHARED), ("matrix-penalty-100", INDEPENDENT)):
             table = ours(task, algorithm, sharing)
             first = ", ".join(f"{x:.0f}" for x in sorted(table.iloc[0]))
             last = ", ".join(f"{x:.0f}" for x in sorted(table.iloc[-1]))
@@ -160,7 +161,7 @@ def untrained() -> None:
 def impossible() -> None:
     """Cells of the paper in which the average over training is above the maximum."""
     averages, maxima = paper("average_return"), paper("max_return")
-    names: dict[tuple[bool, str], list[str]] = {}
+    names: dict[tuple[str, str], list[str]] = {}
     for task, algorithm, sharing in maxima:
         average, maximum = averages[task, algorithm, sharing][0], maxima[task, algorithm, sharing][0]
         if average > maximum:
@@ -181,7 +182,10 @@ def exchanged() -> None:
         best = max(
             mean_and_error for (task, _, its), mean_and_error in maxima.items() if (task, its) == ("mpe-tag", sharing)
         )
-        for name, own in (("printed", both[sharing]), ("exchanged", both[not sharing])):
+        for name, own in (
+            ("printed", both[sharing]),
+            ("exchanged", both[INDEPENDENT if sharing == SHARED else SHARED]),
+        ):
             spreads = [error * np.sqrt(5) / 2 for _, error in (own, best)]
             p = ttest_ind_from_stats(own[0], spreads[0], 5, best[0], spreads[1], 5).pvalue
             print(f"{words}, as {name}: against the best p = {p:.3f}")
@@ -203,7 +207,7 @@ def beside_the_paper(evaluations: pd.DataFrame, task: str, algorithm: str) -> st
 def papers(task: str, algorithm: str) -> str:
     """The paper's maximum and average with sharing."""
     (maximum, error), (average, its_error) = (
-        paper(name)[task, algorithm, True] for name in ("max_return", "average_return")
+        paper(name)[task, algorithm, SHARED] for name in ("max_return", "average_return")
     )
     return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
 
@@ -240,7 +244,7 @@ def probes(files: Iterable[str] = ()) -> None:
     import envs
     from envs.families import mpe
 
-    networks = [*files] or [mpe.OPPONENTS / f"{task}.npz" for task in TRAINED_AGAINST]
+    networks = [*map(Path, files)] or [mpe.OPPONENTS / f"{task}.npz" for task in TRAINED_AGAINST]
     for task, network in zip(TRAINED_AGAINST, networks):
         settings = {**envs.task(f"{task}-selfplay").settings, "selfplay": False}
         for name, probe in train_opponents.PROBES[task].items():
@@ -261,7 +265,7 @@ def words() -> None:
                 f"the last ten points {curve[-10:].mean():.1f}"
             )
     for algorithm in ("ippo", "ia2c"):
-        mean, error = paper("max_return")["mpe-speaker-listener", algorithm, True]
+        mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
         print(f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}")
 
@@ -275,7 +279,7 @@ def standardised() -> None:
 
     rewards = {}
     for name, policy in (("a short defeat", battles.attack_nearest), ("a long victory", battles.kite)):
-        env = envs.make("smaclite-3s_vs_5z-sc2", 100, seed=0)
+        env: Any = envs.make("smaclite-3s_vs_5z-sc2", 100, seed=0)
         env.reset()
         rng, steps, going = np.random.default_rng(0), [], np.ones(100, bool)
         while going.any():
@@ -299,7 +303,7 @@ def standardised() -> None:
         f"{last['dead_allies']:.1f} of its 3 units dead; at its best {curve['return_mean'].max():.1f}; ",
         end="",
     )
-    print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", True]))
+    print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", SHARED]))
 
 
 def parted() -> None:
