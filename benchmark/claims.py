@@ -211,7 +211,7 @@ class Scope:
             return self.place == name or self.place in SETS[name]
         return getattr(self, name)
 
-    # --- names and functions ---
+    # --- names and functions, as the head of this module defines them ---
     @property
     def best(self) -> float:
         return max(self.values().values())

@@ -100,10 +100,11 @@ class Report:
             f"{agreement.numbers(unexplained.loc[unexplained['metric'] == metric, 'agrees'])} {name}"
             for metric, name in agreement.METRICS.items()
         ]
+        single = (unexplained["seeds"] == 1).mean()
         return (
             f"Outside the matrix games, and without {' and '.join(agreement.KNOWN_CAUSES)}, whose difference has a "
             f"known cause, {' and '.join(of)} agree with the paper's: they lie within the 95 % prediction interval of "
-            "the difference, from which chance takes one in twenty."
+            f"the difference, outside which chance puts one in twenty. {100 * single:.0f} % of them are of one seed."
         )
 
     def agreement_table(self) -> str:

@@ -1,4 +1,4 @@
-"""When a value agrees with the paper's: the test's level, what is counted, the placebo, and the paper's own opponents."""
+"""When a value agrees with the paper's: the level of the test, what is counted, the placebo, the paper's opponents."""
 
 import json
 

@@ -67,7 +67,7 @@ def named_cells(runs, **columns):
     ],
 )
 def test_an_expression_says_nothing_else(expression):
-    with pytest.raises(ValueError, match="is nothing that a claim can say|is no expression"):
+    with pytest.raises(ValueError, match=r"is nothing that a claim can say|is no expression"):
         claims.parse(expression)
 
 
@@ -185,9 +185,8 @@ def test_which_maxima_of_the_paper_are_untrained():
 
 
 def test_a_tie_is_no_improvement():
-    tied = dict.fromkeys(claims.TASKS, {"iql": 50, "vdn": 50, "qmix": 50})
-    higher = dict.fromkeys(claims.TASKS, {"iql": 50, "vdn": 50, "qmix": 51})
-    for values, verdict in ((tied, claims.FAILS), (higher, claims.HOLDS)):
+    for qmix, verdict in ((50, claims.FAILS), (51, claims.HOLDS)):
+        values = {task: {"iql": 50, "vdn": 50, "qmix": qmix} for task in claims.TASKS}
         parts = table(values), table(values, "average_return")
         assert verdict_on("Value decomposition improves upon IQL", pd.concat(parts)) == verdict
 
