@@ -18,11 +18,12 @@ prints the variants that a search has run (`benchmark/README.md`), the best firs
 
 import argparse
 import hashlib
+import itertools
 import json
 import sys
 import textwrap
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -149,53 +150,50 @@ class Report:
             ]
             for cell in cells.rename(columns={"mean": "value"}).itertuples()
         ]
-        return tables.to_markdown(header, body) if body else "None."
+        return tables.to_markdown(header, body) or "None."
 
     def interquartile_means(self, sharing: str) -> str:
         """By algorithm and family, with intervals where all tasks have several seeds; tasks and runs in brackets."""
         families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
         scores = {name: measures.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
-        body = []
-        for algorithm in algorithm_order(self.normalised["algorithm"]):
-            cells = []
-            for name in families:
-                tasks = list(scores[name].get((algorithm, sharing), {}).values())
-                numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
-                cells.append(score_text(measures.interquartile_mean, tasks) + numbers if tasks else "")
-            if any(cells):
-                body.append([algorithm.upper(), *cells])
-        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
+
+        def cell(algorithm: str, family: str) -> str:
+            tasks = list(scores[family].get((algorithm, sharing), {}).values())
+            numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
+            return score_text(measures.interquartile_mean, tasks) + numbers if tasks else ""
+
+        titles = {name: FAMILIES[name] for name in families}
+        return tables.grid(in_capitals(self.normalised["algorithm"]), titles, cell)
 
     def improvements(self, sharing: str) -> str:
         """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
         scores = measures.final_scores(self.normalised)
-        present = algorithm_order(name for name, with_sharing in scores if with_sharing == sharing)
-        body = []
-        for name in present:
-            cells = []
-            for other in present:
-                ours, theirs = scores[name, sharing], scores[other, sharing]
-                common = sorted(ours.keys() & theirs.keys())
-                if other == name or not common:
-                    cells.append("")
-                    continue
-                pair = [ours[task] for task in common], [theirs[task] for task in common]
-                cells.append(score_text(measures.probability_of_improvement, *pair))
-            body.append([name.upper(), *cells])
-        return tables.to_markdown(["", *map(str.upper, present)], body) if body else ""
+
+        def cell(name: str, other: str) -> str:
+            ours, theirs = scores[name, sharing], scores[other, sharing]
+            common = sorted(ours.keys() & theirs.keys())
+            pair = [ours[task] for task in common], [theirs[task] for task in common]
+            return score_text(measures.probability_of_improvement, *pair) if common and other != name else ""
+
+        present = in_capitals(name for name, with_sharing in scores if with_sharing == sharing)
+        return tables.grid(present, present, cell)
 
     def cpu_table(self) -> str:
         """Mean CPU hours of a run by algorithm and family."""
-        families = [name for name in FAMILIES if name in self.hours.index.get_level_values("family")]
-        body = []
-        for algorithm in algorithm_order(self.hours.index.get_level_values("algorithm")):
-            for sharing in plots.SHARING:
-                keys = [(name, algorithm, sharing) for name in families]
-                rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]
-                cells = ["" if row is None else f"{row['mean']:.3f} ({row['runs']:.0f})" for row in rows]
-                if any(cells):
-                    body.append([f"{algorithm.upper()}, {plots.SHARING[sharing]}", *cells])
-        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body)
+        index = self.hours.index
+
+        def cell(row: tuple[str, str], family: str) -> str:
+            key = (family, *row)
+            return "{mean:.3f} ({runs:.0f})".format(**self.hours.loc[key]) if key in index else ""
+
+        algorithms = in_capitals(index.get_level_values("algorithm"))
+        rows = {
+            (name, sharing): f"{title}, {words}"
+            for name, title in algorithms.items()
+            for sharing, words in plots.SHARING.items()
+        }
+        there = {name: title for name, title in FAMILIES.items() if name in index.get_level_values("family")}
+        return tables.grid(rows, there, cell)
 
     def cpu_sentence(self) -> str:
         """What all runs took together, beside the paper's."""
@@ -236,7 +234,7 @@ class Report:
             f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured; "
             f"{len(verdicts) - len(body)} of these have no figure at all."
         )
-        return tables.to_markdown(header, body) if body else "", counts
+        return tables.to_markdown(header, body), counts
 
     def long(self) -> str:
         """What stands in RESULTS.md."""
@@ -246,32 +244,22 @@ class Report:
         parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
         if len(self.compared):
             parts.append(self.agreement_table())
-        parts += ["## Tables", tables.LEGEND]
-        for metric, title in tables.TITLES.items():
-            for sharing, words in plots.SHARING.items():
-                if table := tables.markdown(self.both, metric, sharing):
-                    parts += [f"### {title}, {words}", table]
+        parts += ["## Tables", tables.LEGEND, *titled_tables(self.both)]
         if len(self.compared):
             parts += ["### Where we do not agree with the paper", self.differences()]
         if len(self.against_own):
             own = tables.compare(our_cells(self.evaluations, own_opponent=True), self.paper)
-            parts += ["## Against our own opponents", OWN_OPPONENTS]
-            for metric, title in tables.TITLES.items():
-                for sharing, words in plots.SHARING.items():
-                    if table := tables.markdown(own, metric, sharing):
-                        parts += [f"### {title} against our own opponents, {words}", table]
+            parts += ["## Against our own opponents", OWN_OPPONENTS, *titled_tables(own, " against our own opponents")]
         if table := tables.variants(self.evaluations, pd.concat([self.shown, self.against_own])):
             parts += ["### Other flags and budgets", table]
         if figures := self.figures():
             parts += ["## Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
         if len(self.normalised):
             parts += ["## Over all tasks", OVER_ALL]
-        for sharing, words in plots.SHARING.items():
-            if table := self.interquartile_means(sharing):
-                parts += [f"### Interquartile means, {words}", table]
-        for sharing, words in plots.SHARING.items():
-            if table := self.improvements(sharing):
-                parts += [f"### Probability of improvement, {words}", table]
+        of_all = {"Interquartile means": self.interquartile_means, "Probability of improvement": self.improvements}
+        for (title, make), (sharing, words) in itertools.product(of_all.items(), plots.SHARING.items()):
+            if table := make(sharing):
+                parts += [f"### {title}, {words}", table]
         if len(self.hours):
             parts += ["## CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
@@ -341,6 +329,20 @@ def paragraphs(parts: list[str]) -> str:
 def fill(text: str) -> str:
     """A paragraph in lines of 120 characters."""
     return textwrap.fill(text, 120, break_on_hyphens=False)
+
+
+def titled_tables(both: pd.DataFrame, of: str = "") -> list[str]:
+    """The paper's tables that we have results for, a title before each. of: what the title adds."""
+    parts = []
+    for (metric, title), (sharing, words) in itertools.product(tables.TITLES.items(), plots.SHARING.items()):
+        if table := tables.markdown(both, metric, sharing):
+            parts += [f"### {title}{of}, {words}", table]
+    return parts
+
+
+def in_capitals(algorithms: Iterable[str]) -> dict[str, str]:
+    """Algorithms in the tables' order, with their names as titles show them."""
+    return {name: name.upper() for name in algorithm_order(algorithms)}
 
 
 def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> str:

@@ -7,7 +7,7 @@ of seeds, as the paper's own marks can be.
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -180,14 +180,21 @@ def lines(both: pd.DataFrame, metric: str, sharing: str) -> list[list[str]]:
 
 
 def to_markdown(header: list[str], body: list[list[str]]) -> str:
-    """A table in Markdown."""
-    return "\n".join("| " + " | ".join(line) + " |" for line in [header, ["---"] * len(header), *body])
+    """A table in Markdown; nothing without a line in it."""
+    lines = [header, ["---"] * len(header), *body] if body else []
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def grid(rows: Mapping[Any, str], columns: Mapping[Any, str], cell: Callable[[Any, Any], str]) -> str:
+    """A table of cell(row, column) in Markdown, without the rows that are empty. rows, columns: titles by key."""
+    lines = [[title, *(cell(row, column) for column in columns)] for row, title in rows.items()]
+    return to_markdown(["", *columns.values()], [line for line in lines if any(line[1:])])
 
 
 def markdown(both: pd.DataFrame, metric: str, sharing: str) -> str:
     """One of the paper's tables in Markdown; nothing where we have no result for it."""
     body = lines(both, metric, sharing)
-    return to_markdown(["task", "", *map(str.upper, columns(both))], body) if body else ""
+    return to_markdown(["task", "", *map(str.upper, columns(both))], body)
 
 
 # One task of each family, for the README.
@@ -224,7 +231,7 @@ def variants(evaluations: pd.DataFrame, shown: pd.DataFrame | None = None) -> st
         values = [number(*pair) for pair in pairs]
         body.append([row.task, row.algorithm.upper(), row.sharing, flags, str(row.seeds), *values])
     header = ["task", "algorithm", "sharing", "changed flags", "seeds", "maximum", "average", "last"]
-    return to_markdown(header, body) if body else ""
+    return to_markdown(header, body)
 
 
 def to_csv(both: pd.DataFrame) -> str:
