@@ -22,7 +22,7 @@ from scripts import NAMES, ROOT, load_module
 
 import envs
 from benchmark import agreement, collect, measures, plots, report, store, tables, time_stepping, time_training
-from envs import fast_mkl
+from envs.runs import fast_mkl
 
 BENCHMARK = ROOT / "benchmark"
 train_opponents = load_module(ROOT / "tools" / "train_opponents.py")
@@ -103,6 +103,19 @@ def test_seeds_come_together_and_stay(run, tmp_path):
         **{"commit": "abc", "version": "0.1.0", "script": "123", "python": "3.11.7", "versions": {"torch": "2.13.0"}},
         **{"machine": {"cores": 2}, "fast_mkl": False, "wall_seconds": 1.2, "cpu_seconds": 0.5},
     }
+
+
+@pytest.mark.parametrize("word, switch", [("batch", True), ("none", False)])
+@pytest.mark.parametrize("changed", [{}, {"reward_standardisation": ...}])
+def test_older_runs_named_how_rewards_are_standardised(tmp_path, word, switch, changed):
+    """Their tables are those of runs of this version, and hold seeds of both."""
+    for value, seed, folder in ((word, 0, "older"), (switch, 0, "newer"), (word, 1, "newer"), (switch, 1, "older")):
+        run_flags = {"changed": dict.fromkeys(changed, value), "reward_standardisation": value}
+        path = store.collect(make_run(tmp_path / f"{folder}{seed}", seed, **run_flags), tmp_path / folder)
+    older, newer = (sorted((tmp_path / folder).rglob("mappo*")) for folder in ("older", "newer"))
+    assert [file.name for file in older] == [file.name for file in newer]
+    assert [file.read_text() for file in older] == [file.read_text() for file in newer]
+    assert json.loads(path.with_suffix(".json").read_text())["flags"]["reward_standardisation"] is switch
 
 
 def test_the_same_run_twice_changes_nothing(tmp_path):
@@ -1069,7 +1082,7 @@ def test_wrong_input_of_training_opponents_is_named(monkeypatch, run, tmp_path, 
         (collect, "run_directories"),
         (report, "Report"),
         (time_stepping, "rate"),
-        (time_training, "measure"),
+        (time_training, "process"),
         (train_opponents, "train"),
     ],
 )
@@ -1095,8 +1108,9 @@ def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, capsys, tmp_path):
 
     monkeypatch.setattr(time_training.runs, "EpisodeFile", noted)
     flags = ["--env", "matrix-climbing", "--batch-size", "4", "--hidden-dim", "8"]
-    measured = time_training.measure("vdn", flags, 0.05)
-    assert measured.rate > 0 and measured.setting.endswith(" shared")
+    setting, (rate, *shares) = time_training.measure("vdn", flags, 0.05)
+    assert rate > 0 and setting.endswith(" shared")
+    assert sum(shares) == pytest.approx(1) and min(shares) > 0
     assert sizes == [80] and "replay.bin" not in capsys.readouterr().err
 
 
@@ -1108,4 +1122,4 @@ def test_training_speed(monkeypatch, run):
     lines = run(time_training, *words, "--", "--no-parameter-sharing").stdout.splitlines()
     kernels = [["plain"], ["plain", "fast"]][fast_mkl.LOADED]
     assert [(line.split()[0], line.split()[4]) for line in lines] == list(itertools.product(algorithms, kernels))
-    assert all("reference passes" in line and "independent" in line for line in lines)
+    assert all("independent" in line and "stepping" in line for line in lines)
