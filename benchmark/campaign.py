@@ -10,7 +10,6 @@ import subprocess
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -225,7 +224,7 @@ class Campaign:
     def show(self) -> None:
         """Says how far the campaign and the runs that are being made are."""
         self.shown = time.monotonic()
-        rows = [table_row(run, read_progress(run.directory)) for run, _ in self.jobs.values()]
+        rows = [table_row(run) for run, _ in self.jobs.values()]
         say("\n".join([time.strftime("%H:%M:%S ") + self.summary(), HEADER, *rows]))
 
     def summary(self) -> str:
@@ -269,35 +268,31 @@ def last_line(log: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a run is; None: not known yet. share: of its budget. last_return: of evaluation, else of training."""
-
-    share: float = 0.0
-    steps_per_second: float | None = None
-    last_return: float | None = None
-    seconds_left: float | None = None
+def share_done(directory: Path) -> float:
+    """How much of its budget the run in this directory has played, by its progress.json."""
+    said = read_progress(directory)
+    return min(said["timestep"] / said["total_timesteps"], 1.0) if said else 0.0
 
 
-def read_progress(directory: Path) -> Progress:
-    """How far the run in this directory is, by its progress.json."""
+def read_progress(directory: Path) -> dict[str, Any]:
+    """What the run in this directory says of itself in its progress.json; nothing before it says anything."""
     try:
-        said = json.loads((directory / "progress.json").read_text())
-        timestep, budget, rate = said["timestep"], said["total_timesteps"], said["steps_per_second"]
-        last = said["training_return"] if said["evaluation_return"] is None else said["evaluation_return"]
+        said: dict[str, Any] = json.loads((directory / "progress.json").read_text())
+        return said if said["total_timesteps"] else {}
     except (OSError, ValueError, KeyError):
-        return Progress()
-    left = max(budget - timestep, 0) / rate if rate else None
-    return Progress(min(timestep / budget, 1.0), rate or None, last, left)
+        return {}
 
 
-def table_row(run: PlannedRun, progress: Progress) -> str:
-    """A run's line in the table."""
-    rate = "" if progress.steps_per_second is None else f"{progress.steps_per_second:,.0f}"
-    last = "" if progress.last_return is None else f"{progress.last_return:,.2f}"
-    left = "" if progress.seconds_left is None else duration(progress.seconds_left)
-    name = f"{run.algorithm} {'shared' if run.sharing else 'independent'}"
-    return f"{run.task:<24} {name:<20} {run.seed:>4} {progress.share:>5.0%} {rate:>9} {last:>9} {left:>10}"
+def table_row(run: PlannedRun) -> str:
+    """A run's line: how far it is, its last evaluation or else the return of its training, and what is left."""
+    said, rate, last, left = read_progress(run.directory), "", "", ""
+    if said and said["steps_per_second"]:
+        rate = f"{said['steps_per_second']:,.0f}"
+        left = duration(max(said["total_timesteps"] - said["timestep"], 0) / said["steps_per_second"])
+    for key in ("training_return", "evaluation_return"):
+        last = last if said.get(key) is None else f"{said[key]:,.2f}"
+    name = f"{run.algorithm} {run.sharing}"
+    return f"{run.task:<24} {name:<20} {run.seed:>4} {share_done(run.directory):>5.0%} {rate:>9} {last:>9} {left:>10}"
 
 
 def duration(seconds: float) -> str:

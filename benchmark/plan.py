@@ -19,6 +19,7 @@ from envs.runs.flags import as_flag
 
 ALGOS = Path(__file__).resolve().parents[1] / "algos"
 Flags = tuple[str, ...]
+Grid = list[dict[str, str]]  # the lines of a grid, by GRID_COLUMNS
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
 OF_THIS_PROGRAM = ["env", "parameter_sharing", "seed", "run_dir", "resume", "watch"]  # flags that it gives itself
 
@@ -91,17 +92,7 @@ def chosen_tasks(words: list[str]) -> list[str]:
     return list(dict.fromkeys(tasks))
 
 
-@dataclass(frozen=True)
-class GridLine:
-    """The values that a search tries for a flag, for these algorithms and families of tasks."""
-
-    algorithms: list[str]
-    families: list[str]
-    flag: str
-    values: list[str]
-
-
-def read_grid(path: Path) -> list[GridLine]:
+def read_grid(path: Path) -> Grid:
     """A grid: columns algorithms, families, flag, values; several words in a cell are separated by spaces.
 
     Every combination of the values of those lines that name an algorithm and the task's family is one variant.
@@ -116,20 +107,17 @@ def read_grid(path: Path) -> list[GridLine]:
         raise envs.InputError(f"{path} is not a grid: its columns must be {', '.join(GRID_COLUMNS)}.")
     if empty := [row["flag"] for row in rows if not row["flag"].strip() or not row["values"].split()]:
         raise envs.InputError(f"{path} has a line without a flag or without values: {', '.join(empty)}.")
-    return [
-        GridLine(row["algorithms"].split(), row["families"].split(), row["flag"].strip(), row["values"].split())
-        for row in rows
-    ]
+    return rows
 
 
-def variants(grid: list[GridLine], algorithm: str, family: str) -> Iterator[Flags]:
+def variants(grid: Grid, algorithm: str, family: str) -> Iterator[Flags]:
     """Every combination of values that the grid has for an algorithm on tasks of a family, as flags for the script."""
     choices: dict[str, list[str]] = {}
     for line in grid:
-        if algorithm in line.algorithms and family in line.families:
-            if (flag := line.flag.replace("-", "_")) in choices:
+        if algorithm in line["algorithms"].split() and family in line["families"].split():
+            if (flag := line["flag"].strip().replace("-", "_")) in choices:
                 raise envs.InputError(f"the grid has two lines of {flag} for {algorithm} on tasks of {family}.")
-            choices[flag] = line.values
+            choices[flag] = line["values"].split()
     for values in itertools.product(*choices.values()):
         flags = (
             as_flag(flag, {"true": True, "false": False}.get(value, value)) for flag, value in zip(choices, values)
@@ -143,7 +131,7 @@ def make_plan(
     sharings: list[str],
     seeds: int,
     flags: Flags,
-    grid: list[GridLine] | None,
+    grid: Grid | None,
     runs: Path,
 ) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""

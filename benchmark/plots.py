@@ -28,15 +28,7 @@ from PIL import Image, PngImagePlugin
 
 from benchmark import measures
 from benchmark.measures import interval
-from benchmark.store import (
-    ALGORITHMS,
-    FAMILIES,
-    INDEPENDENT,
-    PAPER_CPU_HOURS,
-    PAPER_RUNS,
-    SHARED,
-    algorithm_order,
-)
+from benchmark.store import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order
 from benchmark.tables import in_order
 
 COLOURS = {
@@ -54,7 +46,7 @@ LINES: dict[str, Any] = {name: (0, (5, 2)) for name in ("iql", "vdn", "qmix")} |
     name: (0, (1.5, 1)) for name in ("maddpg", "coma")
 }
 OTHER_COLOUR = "black"
-SHARING = {SHARED: "with parameter sharing", INDEPENDENT: "without parameter sharing"}
+SHARING = {"shared": "with parameter sharing", "independent": "without parameter sharing"}
 DOTS_PER_INCH = 110
 PNG_COLOURS = 64
 LINEAR = 300  # untrained teams earn down to -2,500 in a matrix game: below -300 the axis is logarithmic
@@ -226,12 +218,12 @@ def sharing_effect(ours: pd.DataFrame, paper: pd.DataFrame) -> Figure:
             rows["mean"],
             0.18,
             yerr=rows["error"],
-            color="#332288" if sharing == SHARED else "#DDCC77",
+            color="#332288" if sharing == "shared" else "#DDCC77",
             alpha=1.0 if whose == "ours" else 0.45,
             label=f"{whose}, {SHARING[sharing]}",
         )
     figure.suptitle("Maximum returns with and without parameter sharing")
-    pairs = sides["ours"].xs(SHARED, level="sharing").reindex(families)["count"]
+    pairs = sides["ours"].xs("shared", level="sharing").reindex(families)["count"]
     panel.set_xticks(place, [f"{FAMILIES[family]}\n({count:.0f} pairs)" for family, count in zip(families, pairs)])
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
@@ -245,7 +237,7 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
     for family, panel in zip(families, axes):
         rows = hours.loc[family]
         for place, algorithm in enumerate(algorithms):
-            for sharing, shift, alpha in ((SHARED, -0.2, 1.0), (INDEPENDENT, 0.2, 0.45)):
+            for sharing, shift, alpha in (("shared", -0.2, 1.0), ("independent", 0.2, 0.45)):
                 if (algorithm, sharing) in rows.index:
                     mean = rows.loc[(algorithm, sharing), "mean"]
                     panel.bar(place + shift, mean, 0.38, color=style(algorithm)["color"], alpha=alpha)
@@ -255,8 +247,8 @@ def cpu_hours(hours: pd.DataFrame) -> Figure:
         panel.set_xticks(range(len(algorithms)), [name.upper() for name in algorithms], rotation=60)
         panel.set_title(FAMILIES[family])
     figure.suptitle("CPU hours of one training run")
-    handles: list[Artist] = [Patch(color="black", label=SHARING[SHARED])]
-    handles.append(Patch(color="black", alpha=0.45, label=SHARING[INDEPENDENT]))
+    handles: list[Artist] = [Patch(color="black", label=SHARING["shared"])]
+    handles.append(Patch(color="black", alpha=0.45, label=SHARING["independent"]))
     handles.append(Line2D([], [], color="black", lw=1, linestyle="--", label="the paper's mean over all its runs"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     return figure

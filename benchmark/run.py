@@ -26,7 +26,7 @@ if not __package__:  # as a program, from any folder
 
 import envs
 from benchmark import plan, store
-from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, duration, read_progress
+from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, duration, share_done
 from benchmark.plan import PlannedRun
 from envs.runs import one_sentence
 
@@ -50,7 +50,7 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
             continue
         print(f"{run}: {there}")
         if there in ("new", "begun"):
-            share = read_progress(run.directory).share if there == "begun" else 0.0
+            share = share_done(run.directory) if there == "begun" else 0.0
             setting = run.task, run.algorithm, run.sharing, store.trained(run.changed)
             left.setdefault(setting, []).append(run.total_timesteps * (1 - share))
     if not left:

@@ -89,8 +89,7 @@ def setting_name(changed: dict[str, Any]) -> str:
 
 def table_path(results: Path, algorithm: str, task: str, sharing: str, changed: dict[str, Any]) -> Path:
     """Where the table of these runs stands, without its suffix: .csv holds the evaluations, .json the settings."""
-    flags = (f"-{flag.replace('_', '-')}={value}" for flag, value in sorted(changed.items()))
-    return results / runs.safe_name(task) / runs.safe_name("".join([f"{algorithm}-{sharing}", *flags]))
+    return results / runs.safe_name(task) / runs.file_name(algorithm, sharing == SHARED, dict(sorted(changed.items())))
 
 
 # --- reading ---

@@ -671,15 +671,17 @@ class TestTwoCampaigns:
 
 class TestView:
     def test_progress_from_what_a_run_writes(self, tmp_path):
+        planned = plan_of(tmp_path)
         for text in (None, "{}"):
             if text:
                 (tmp_path / "progress.json").write_text(text)
-            assert campaigns.read_progress(tmp_path) == campaigns.Progress()
+            assert campaigns.share_done(tmp_path) == 0 and campaigns.table_row(planned).split()[3:] == ["0", "0%"]
         said = {"timestep": 100, "total_timesteps": 200, "steps_per_second": 4.0, "training_return": 3.0}
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": None}))
-        assert campaigns.read_progress(tmp_path) == campaigns.Progress(0.5, 4.0, 3.0, 25.0)
+        assert campaigns.share_done(tmp_path) == 0.5
+        assert campaigns.table_row(planned).split()[4:] == ["50%", "4", "3.00", "0:00:25"]
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": 7.0}))
-        assert campaigns.read_progress(tmp_path).last_return == 7.0
+        assert campaigns.table_row(planned).split()[6] == "7.00"
 
     def test_lines_now_and_then(self, monkeypatch, capsys):
         monkeypatch.setattr(campaigns, "LINES_EVERY", 0.2)

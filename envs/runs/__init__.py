@@ -17,6 +17,7 @@ from envs.runs import fast_mkl  # isort: skip (before whatever imports PyTorch)
 from envs.runs.directory import (
     RunDirectory,
     describe,
+    file_name,
     fitting_checkpoint,
     is_whole,
     last_checkpoint,

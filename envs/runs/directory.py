@@ -157,11 +157,14 @@ def run_path(runs: Path, algorithm: str, task: str, sharing: bool, seed: int, ch
 
     changed: the flags that differ from the paper's. How long a run is does not count, since it may be lengthened.
     """
-    setting = f"{algorithm}-{'shared' if sharing else 'independent'}"
-    for name, value in changed.items():
-        if name not in NOT_IN_DIRECTORY:
-            setting += f"-{name.replace('_', '-')}={value}"
-    return runs / safe_name(task) / safe_name(setting) / f"seed{seed}"
+    named = {name: value for name, value in changed.items() if name not in NOT_IN_DIRECTORY}
+    return runs / safe_name(task) / file_name(algorithm, sharing, named) / f"seed{seed}"
+
+
+def file_name(algorithm: str, sharing: bool, changed: Mapping[str, Any]) -> str:
+    """What directories of runs and tables of results are called: <algorithm>-<shared|independent>[-<flag>=<value>]."""
+    flags = (f"-{name.replace('_', '-')}={value}" for name, value in changed.items())
+    return safe_name("".join([algorithm, "-shared" if sharing else "-independent", *flags]))
 
 
 class RunDirectory:
