@@ -1,5 +1,7 @@
-"""The project's habits: one version, notes for it, extras, what is public."""
+"""The project's habits: one version, notes for it, extras, what is public, and what imports what in benchmark/."""
 
+import ast
+import importlib
 import importlib.metadata
 import re
 import subprocess
@@ -9,6 +11,7 @@ import tomllib
 import pytest
 from scripts import ROOT
 
+import benchmark
 import envs
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -43,3 +46,39 @@ def test_what_only_the_benchmark_needs_is_an_extra_of_its_own():
     extra = PROJECT["optional-dependencies"]["benchmark"]
     assert {package.partition(">=")[0] for package in extra} == names
     assert not names & {package.partition(">=")[0] for package in PROJECT["dependencies"]}
+
+
+@pytest.mark.parametrize("package", ["matplotlib", "pandas", "scipy"])
+def test_a_program_of_the_benchmark_says_which_extra_it_needs(monkeypatch, capsys, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(sys, "argv", ["benchmark/report.py"])
+    with pytest.raises(SystemExit, match="2"):
+        importlib.reload(benchmark)
+    assert capsys.readouterr().err == f"report: {package} is not installed; pip install -e '.[benchmark]' does it.\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("program", ["run", "collect", "report", "time_stepping", "time_training"])
+def test_programs_of_the_benchmark_begin_in_any_folder_and_as_modules(program, tmp_path):
+    for command, folder in (([ROOT / "benchmark" / f"{program}.py"], tmp_path), (["-m", f"benchmark.{program}"], ROOT)):
+        done = subprocess.run([sys.executable, *command, "--help"], cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0 and done.stdout.startswith("usage:"), done.stderr
+
+
+FLOORS = [{"store"}, {"plan", "measures", "agreement"}, {"campaign", "tables"}, {"cluster", "plots", "claims"}]
+PROGRAMS = {"run", "collect", "report", "time_stepping", "time_training"}
+
+
+def test_arrows_between_modules_of_the_benchmark_point_down():
+    below: set[str] = set()
+    for floor in [*FLOORS, PROGRAMS]:
+        for name in floor:
+            imported = set()
+            for node in ast.walk(ast.parse((ROOT / "benchmark" / f"{name}.py").read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom) and node.module == "benchmark":
+                    imported |= {alias.name for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("benchmark."):
+                    imported.add(node.module.removeprefix("benchmark."))
+            assert imported <= below, f"{name} imports {imported - below}"
+        below |= floor
+    assert below | {"__init__"} == {path.stem for path in (ROOT / "benchmark").glob("*.py")}
