@@ -120,7 +120,7 @@ def maximum_bias(evaluations: pd.DataFrame) -> float:
 def without_bias(cells: pd.DataFrame, evaluations: pd.DataFrame) -> pd.DataFrame:
     """The counted maxima with a column bias (`maximum_bias`; 0 with several seeds), and agrees without it.
 
-    evaluations: of the tables (`results.in_tables`).
+    evaluations: of the tables (`measures.in_tables`).
     """
     maxima = cells[cells["metric"] == "max_return"]
     key = ["task", "algorithm", "sharing"]

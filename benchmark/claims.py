@@ -137,7 +137,7 @@ class View:
 
     @classmethod
     def of(cls, cells: pd.DataFrame) -> "View":
-        """Cells in the form of `results.our_cells` or `results.paper_cells`."""
+        """Cells in the form of `measures.our_cells` or `store.paper_cells`."""
         if "paper_task" not in cells:
             keys = pd.MultiIndex.from_frame(cells[["metric", "sharing", "task", "algorithm"]])
             cells = cells.assign(paper_task=cells["task"], other_budget=False, at_start=keys.isin(UNTRAINED))

@@ -175,7 +175,7 @@ def performance_profile(thresholds: np.ndarray) -> Callable[[list[np.ndarray]], 
 
 def sharing_means(cells: pd.DataFrame) -> pd.DataFrame:
     """Normalised maximum returns by (family, sharing): mean, error (standard error) and count over the pairs of task
-    and algorithm that have both; cells as `results.our_cells`. Range: the maximum returns of all algorithms on the
+    and algorithm that have both; cells as `measures.our_cells`. Range: the maximum returns of all algorithms on the
     task, with and without sharing."""
     chosen = cells[cells["metric"] == "max_return"]
     if "other_budget" in chosen:

@@ -1,4 +1,4 @@
-"""The figures: one function each, which draws a matplotlib figure from tables of `results` that are not empty.
+"""The figures: one function each, which draws a matplotlib figure from tables that are not empty.
 
 An algorithm has the same colour and line everywhere. The colours are Paul Tol's "muted" scheme, made to be told apart
 by the colour-blind; the lines help where colours do not: value-based methods are dashed, MADDPG and COMA dotted.
@@ -153,7 +153,7 @@ def mean_curves(rows: pd.DataFrame, column: str) -> Iterator[tuple[str, pd.DataF
 
 def learning_curves(evaluations: pd.DataFrame, family: str, sharing: str) -> Figure:
     """Evaluation returns of a family's tasks over training, with 95 % intervals over seeds; evaluations from
-    `results.in_tables`."""
+    `measures.in_tables`."""
     chosen = evaluations[(evaluations["family"] == family) & (evaluations["sharing"] == sharing)]
     tasks = in_order(chosen["task"])
     figure, axes = panels(len(tasks), 4 if len(tasks) > 6 else 3, "", "return")
@@ -260,7 +260,7 @@ def rounded(number: float) -> str:
 
 
 def simulation_speed(speeds: pd.DataFrame) -> Figure:
-    """Steps per second by family; speeds from `results.speeds`. Geometric means over the tasks that were measured."""
+    """Steps per second by family; speeds from `store.speeds`. Geometric means over the tasks that were measured."""
     families = [family for family in FAMILIES if (speeds["family"] == family).any()]
     figure, (panel,) = panels(1, 1, "", "environment steps per second")
     whose = list(dict.fromkeys(speeds["whose"]))

@@ -295,7 +295,7 @@ replication."""
 
 MAXIMA_WORDS = """\
 The maximum of a single seed is the best of 41 points, and picks more of their noise than the maximum of a mean of five
-seeds. The last column is without this surplus, as `benchmark/reporting/agreement.py` estimates it."""
+seeds. The last column is without this surplus, as `benchmark/agreement.py` estimates it."""
 
 
 OWN_OPPONENTS = """\

@@ -1,4 +1,4 @@
-"""The paper's tables from cells of results (`results.our_cells`, `results.paper_cells`), as Markdown and CSV.
+"""The paper's tables from cells of results (`measures.our_cells`, `store.paper_cells`), as Markdown and CSV.
 
 In a row, the highest mean is bold, and with it those that are printed alike. An asterisk: not significantly different
 from one of them in a two-sided Student t-test with equal variances at 0.05, computed from means, intervals and numbers
