@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import math
 import os
 import shutil
 import signal
@@ -97,7 +98,7 @@ class Campaign:
         self.told: set[Path] = set()  # the runs that were asked to stop
         self.stop_signal = 0
         self.problem = ""  # why no further run is started
-        self.shown = time.monotonic()  # when one saw last how far the runs are
+        self.shown = -math.inf  # when one saw last how far the runs are
 
     def go_on(self) -> None:
         """Runs until all is done or has failed, or a stop is asked for and all have stopped."""

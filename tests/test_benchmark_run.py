@@ -682,6 +682,11 @@ class TestView:
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": 7.0}))
         assert campaigns.table_row(planned).split()[6] == "7.00"
 
+    def test_the_first_lines_come_at_once(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        said = capsys.readouterr().err
+        assert said.count(campaigns.HEADER) == 1 and "0 of 1 runs in the results, 1 running" in said
+
     def test_lines_now_and_then(self, monkeypatch, capsys):
         monkeypatch.setattr(campaigns, "LINES_EVERY", 0.2)
         assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", "0.02") == 0
