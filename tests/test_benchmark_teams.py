@@ -53,8 +53,9 @@ def test_watching_one_and_the_wrong_script(tmp_path, monkeypatch, capsys):
     films = subprocess.run([sys.executable, *words], capture_output=True, text=True)
     assert films.returncode == 0 and "return_mean" in films.stdout and (place / "film.gif").exists()
     monkeypatch.setattr(sys, "argv", words)
+    module = script(other)
     with pytest.raises(SystemExit) as end:
-        script(other).main()
+        runs.main(module.__file__, module.__doc__, module.Args, module.paper_defaults, module.train, module.load)
     assert end.value.code == 2
     assert capsys.readouterr().err == f"{other}: {place} holds a run of {algorithm}.py, not of {other}.py.\n"
 
