@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -53,7 +54,7 @@ def test_watching_one_and_the_wrong_script(tmp_path, monkeypatch, capsys):
     films = subprocess.run([sys.executable, *words], capture_output=True, text=True)
     assert films.returncode == 0 and "return_mean" in films.stdout and (place / "film.gif").exists()
     monkeypatch.setattr(sys, "argv", words)
-    module = script(other)
+    module: Any = script(other)
     with pytest.raises(SystemExit) as end:
         runs.main(module.__file__, module.__doc__, module.Args, module.paper_defaults, module.train, module.load)
     assert end.value.code == 2
