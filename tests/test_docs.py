@@ -383,7 +383,8 @@ def browser():
 
 
 def visit(browser, file, query=""):
-    """Opens a page of the site and waits until its charts that are in view are drawn."""
+    """Opens a page of the site; afresh, where only what stands behind # is new."""
+    browser.get("about:blank")
     browser.get(file.as_uri() + query)
     return browser
 
