@@ -2,8 +2,8 @@
 
 import functools
 import json
-import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -62,9 +62,10 @@ def test_what_is_folded_has_the_text_of_an_earlier_page_and_no_remark():
     coma = script.read("coma")
     folded = {part.name: algorithm_pages.first_page(coma, part) for part in coma.parts}
     assert folded["collect"] == "ia2c" and folded["update"] is None and folded["counterfactual_inputs"] is None
-    page = algorithm_pages.page("coma", (DOCS / "algorithms" / "coma.md").read_text(encoding="utf-8"))
+    texts = {name: (DOCS / "algorithms" / f"{name}.md").read_text(encoding="utf-8") for name in ("coma", "ia2c")}
+    page = algorithm_pages.page("coma", texts["coma"])
     assert "{dropdown} `collect`" in page and "#### `update`" in page and "{dropdown} `update`" not in page
-    assert "{dropdown}" not in algorithm_pages.page("ia2c", (DOCS / "algorithms" / "ia2c.md").read_text(encoding="utf-8"))
+    assert "{dropdown}" not in algorithm_pages.page("ia2c", texts["ia2c"])
 
 
 def test_facts_are_read_from_the_scripts():
@@ -72,7 +73,7 @@ def test_facts_are_read_from_the_scripts():
     assert {name for name, each in facts.items() if each.replay} == {"iql", "vdn", "qmix", "maddpg"}
     assert {name for name, each in facts.items() if each.epochs} == {"ippo", "mappo"}
     assert {name: each.mixed for name, each in facts.items() if each.mixed} == {
-        "vdn": "their sum",
+        "vdn": "a sum",
         "qmix": "a mixing network",
     }
     assert {name: each.critic for name, each in facts.items() if each.critic} == {
@@ -88,7 +89,7 @@ def test_facts_are_read_from_the_scripts():
 
 
 def test_papers_are_found_by_title_and_by_authors():
-    text = "Tan (1993); Rashid et al., 2018; \"Time Limits in\nReinforcement Learning\"; Nobody et al. (2018)"
+    text = 'Tan (1993); Rashid et al., 2018; "Time Limits in\nReinforcement Learning"; Nobody et al. (2018)'
     links = [node.astext() for node in papers.linked(text) if isinstance(node, nodes.reference)]
     assert links == ["Tan (1993)", "Rashid et al., 2018", "Time Limits in\nReinforcement Learning"]
     for name in script.ALGORITHMS:
@@ -169,7 +170,11 @@ def test_a_docstring_becomes_markdown():
     text = "It is so.\n\nn: the number, o_i,t at first.\nReturns x [a, b]. See `f` and --flag.\n"
     text += "\n    a  1\n    b_c  2\n       and more\n\nmap  a long\n        name\n\n    y_t = 2  3\n"
     found = plain_text.to_markdown(text).split("\n\n")
-    assert found[:3] == ["It is so.", "`n`: the number, $o_{i,t}$ at first.", r"Returns x \[a, b\]. See `f` and `--flag`."]
+    assert found[:3] == [
+        "It is so.",
+        "`n`: the number, $o_{i,t}$ at first.",
+        r"Returns x \[a, b\]. See `f` and `--flag`.",
+    ]
     assert found[3].splitlines()[2:] == ["| a | 1 |", "| `b_c` | 2 and more |"]
     assert found[4].splitlines()[2:] == ["| map | a long name |"]
     assert found[5] == "```text\ny_t = 2  3\n```"
@@ -550,10 +555,10 @@ def test_curves_against_the_share_of_the_training(site, browser):
         "return [...document.querySelectorAll('#explorer .mark-line path')].map((x) => "
         "Math.round(x.getBBox().x + x.getBBox().width))"
     )
-    assert until(lambda: len(set(browser.execute_script(ends))) > 1)  # off-policy curves end earlier
-    browser.find_element("css selector", "#explorer input[value=share]").click()
     assert until(lambda: len(set(browser.execute_script(ends))) == 1)
-    assert "axis=share" in browser.current_url
+    browser.find_element("css selector", "#explorer input[value=steps]").click()
+    assert until(lambda: len(set(browser.execute_script(ends))) > 1)  # off-policy curves end earlier
+    assert "axis=steps" in browser.current_url
 
 
 @pytest.mark.slow
@@ -606,10 +611,9 @@ def test_search_finds(site, browser, words, page):
     assert complaints(browser) == []
 
 
-def test_the_repository_is_linked_where_its_address_is_known(tmp_path):
+def test_the_repository_is_linked_where_its_address_is_known(monkeypatch):
     """conf.py takes it from REPOSITORY_URL; without it no address is invented."""
-    script_ = "import runpy; found = runpy.run_path('docs/conf.py'); print(found['html_theme_options']['source_repository'])"
     for address in ("https://example.org/us/marl-baselines/", ""):
-        environment = os.environ | {"REPOSITORY_URL": address}
-        done = subprocess.run([sys.executable, "-c", script_], cwd=ROOT, env=environment, capture_output=True, text=True)
-        assert done.stdout.strip() == address.rstrip("/")
+        monkeypatch.setenv("REPOSITORY_URL", address)
+        found = runpy.run_path(str(DOCS / "conf.py"))
+        assert found["html_theme_options"]["source_repository"] == found["repository"] == address.rstrip("/")

@@ -4,7 +4,6 @@ The page is written as Markdown when Sphinx reads the remarks, so that they may 
 """
 
 import difflib
-import html
 import re
 
 import charts
@@ -29,6 +28,7 @@ EXAMPLES = {
     "lbf": "lbf-15x15-3p-5f",
     "rware": "rware-tiny-4p",
 }
+SHARINGS = {"shared": "With parameter sharing", "independent": "Without parameter sharing"}
 SICK = "In the sick run"  # with these words begins what is said of it
 
 
@@ -87,7 +87,12 @@ def page(name: str, text: str) -> str:
     parts += ["## Hyperparameters", hyperparameters(known)]
     parts += ["## What to look at in TensorBoard", fence("recorded-run", f"{name} healthy"), healthy]
     parts += [fence("recorded-run", f"{name} sick"), SICK + sick]
-    parts += ["## Learning curves", fence("algorithm-curves", name)]
+    parts += ["## Learning curves", CURVES]
+    measured = results_data.seeds()
+    for sharing, title in SHARINGS.items():
+        tasks = [task for task in results_data.paper_tasks() if (task, name, sharing == "shared") in measured]
+        if tasks:
+            parts += [f"**{title}**", fence("curves", " ".join(tasks), f":sharing: {sharing}\n:algorithms: {name}")]
     parts += ["## A trained team", fence("film", f":{name}")]
     parts += ["## Commands", "\n".join(["```bash", *commands(name), "```"])]
     return "\n\n".join(parts) + "\n"
@@ -108,34 +113,36 @@ def facts(known: script.Script) -> str:
     own, name = known.facts, known.name
     if own.replay:
         learns = "off-policy: from a replay of old episodes, one gradient step after each new one"
-        acts = "its likeliest, or one that is drawn" if own.critic else "its best by value; with probability epsilon any"
+        acts = "drawn from its policy" if own.critic else "its best by value, or with probability epsilon any"
     else:
         steps = "several gradient steps" if own.epochs else "one gradient step"
         learns = f"on-policy: {steps} on a batch of ten new episodes, which is then thrown away"
         acts = "drawn from its policy"
-    rows = [("learns", learns)]
+    rows = [["learns", learns]]
     if own.critic:
-        rows.append(("its critic sees", f"in training {own.critic}; in play there is no critic"))
+        rows.append(["its critic sees", f"in training {own.critic}; in play there is no critic"])
     if own.mixed:
-        rows.append(("the team's value is", f"{own.mixed} of the agents' values" if "sum" not in own.mixed else own.mixed))
-    rows += [("an agent sees", "its own observation; with `--network gru` what it saw before, too"), ("action", acts)]
-    sharing = "one network for all agents; with `--no-parameter-sharing` one for each"
-    rows += [("parameters", sharing), ("papers", ", ".join(paper.label for paper in papers.cited(known.docstring)))]
+        rows.append(["the team's value", f"what {own.mixed} makes of the agents' values"])
     first, last = known.parts[0].first, known.parts[-1].last
-    rows.append(("file", f"`algos/{name}.py`: {len(known.lines)} lines, of which {last - first + 1} are on this page"))
-    rows.append(("try it", results_data.one_command(name)))
-    table = "\n".join(["| | |", "|---|---|", *(f"| {title} | {text} |" for title, text in rows)])
+    rows += [
+        ["an agent sees", "its own observation; with `--network gru` what it saw before, too"],
+        ["action", acts],
+        ["parameters", "one network for all agents; with `--no-parameter-sharing` one for each"],
+        ["papers", ", ".join(paper.label for paper in papers.cited(known.docstring))],
+        ["file", f"`algos/{name}.py`: {len(known.lines)} lines, of which {last - first + 1} are on this page"],
+        ["try it", results_data.one_command(name)],
+    ]
+    table = results_data.tables.to_markdown(["", ""], rows)
     return f":::::::{{container}} facts\n{table}\n\n{fence('data-flow', name)}\n:::::::"
 
 
 def idea(known: script.Script, remarks: Remarks) -> str:
     """The script's docstring; the formulas, in LaTeX, in the place of those in plain text."""
     text = known.docstring
-    for plain, latex in remarks.in_latex.items():
-        if plain not in text:
-            raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
     _, _, text = plain_text.to_markdown(text).partition("\n\n")
     for plain, latex in remarks.in_latex.items():
+        if plain_text.escape(plain) not in text:
+            raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
         text = text.replace(plain_text.escape(plain), latex)
     blocks = re.split(r"\n*```text\n(.*?)\n```\n*", text, flags=re.DOTALL)
     before, after = blocks[0], "\n\n".join(blocks[2::2])
@@ -173,7 +180,7 @@ def shown(known: script.Script, part: script.Part, said: str) -> str:
 
 
 def first_page(known: script.Script, part: script.Part) -> str | None:
-    """The first algorithm, in the order of reading, in whose script a function has the same text; None if this is it."""
+    """The first algorithm, in the order of reading, whose script has a function with this text; None if it is this."""
     text = known.text(part.first, part.last)
     for name in script.ALGORITHMS[: script.ALGORITHMS.index(known.name)]:
         other = script.read(name)
@@ -191,13 +198,14 @@ def hyperparameters(known: script.Script) -> str:
         "[the benchmark paper](https://arxiv.org/abs/2006.07869) chose. All other flags are the same everywhere: "
         f"`python algos/{known.name}.py --help` lists them."
     ]
-    for sharing, title in (("shared", "With parameter sharing"), ("independent", "Without parameter sharing")):
-        rows = [f"| {title} | " + " | ".join(FAMILY_TITLES[family] for family in families) + " | what it is |"]
-        rows.append("|---" * (len(families) + 2) + "|")
+    for sharing, title in SHARINGS.items():
+        head = [title, *(FAMILY_TITLES[family] for family in families), "what it is"]
+        rows = []
         for i, flag in enumerate(names):
-            values = [f"{paper[family, sharing][i]}" for family in families]
-            rows.append(f"| `--{flag.replace('_', '-')}` | " + " | ".join(values) + f" | {known.flags[flag][1]} |")
-        parts.append("\n".join([":::{container} hyperparameters", *rows, ":::"]))
+            values = (f"{paper[family, sharing][i]}" for family in families)
+            rows.append([f"`--{flag.replace('_', '-')}`", *values, known.flags[flag][1]])
+        table = results_data.tables.to_markdown(head, rows)
+        parts.append(f":::{{container}} hyperparameters\n{table}\n:::")
     return "\n\n".join(parts)
 
 
@@ -222,9 +230,9 @@ class ScriptDiff(SphinxDirective):
         for known in (old, new):
             self.env.note_dependency(str(script.ROOT / "algos" / f"{known.name}.py"))
         command = f"diff -b algos/{old.name}.py algos/{new.name}.py"
-        title = nodes.paragraph("", "", nodes.literal("", command), nodes.Text(", from the networks to the training loop"))
+        title = [nodes.literal("", command), nodes.Text(", from the networks to the training loop")]
         block = nodes.literal_block("", diff(old, new), language="diff")
-        return [nodes.container("", title, block, classes=["diff"])]
+        return [nodes.container("", nodes.paragraph("", "", *title), block, classes=["diff"])]
 
 
 def diff(old: script.Script, new: script.Script) -> str:
@@ -233,8 +241,8 @@ def diff(old: script.Script, new: script.Script) -> str:
         [line for first, last in known.sections.values() for line in known.lines[first - 1 : last]]
         for known in (old, new)
     )
-    plain = ([" ".join(line.split()) for line in lines] for lines in (before, after))
-    matcher = difflib.SequenceMatcher(None, *plain, autojunk=False)
+    a, b = ([" ".join(line.split()) for line in lines] for lines in (before, after))
+    matcher = difflib.SequenceMatcher(None, a, b, autojunk=False)
     found: list[str] = []
     for group in matcher.get_grouped_opcodes(1):
         found += ["@@"] * bool(found)
@@ -271,26 +279,6 @@ class RecordedRun(SphinxDirective):
 
 
 UNTOLD = ("training/steps_per_second", "evaluation/return_std", "evaluation/episode_length")
-
-
-class AlgorithmCurves(SphinxDirective):
-    """An algorithm's learning curves on every task with results. Argument: the algorithm."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        found: list[nodes.Node] = [nodes.paragraph("", CURVES)]
-        for sharing, words in ((True, "With parameter sharing"), (False, "Without parameter sharing")):
-            figures = []
-            for task in results_data.paper_tasks():
-                chart = charts.learning_curves(task, sharing, [name])
-                if chart is not None:
-                    described = f"Learning curve of {name.upper()} on {task}, {words.lower()}"
-                    figures.append(charts.figure(chart, f"<code>{html.escape(task)}</code>", described))
-            if figures:
-                found += [nodes.rubric("", words), charts.grid(figures)]
-        return found
 
 
 CURVES = (
@@ -366,5 +354,4 @@ def setup(app: Sphinx) -> dict:
     app.add_directive("data-flow", DataFlow)
     app.add_directive("script-diff", ScriptDiff)
     app.add_directive("recorded-run", RecordedRun)
-    app.add_directive("algorithm-curves", AlgorithmCurves)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -8,7 +8,7 @@ INPUTS = {
     "the state and the others' actions": ["s", "a₋ᵢ"],
     "the state and all actions": ["s", "a"],
 }
-MIXED = {"": "its own target", "their sum": "sum of all Qᵢ", "a mixing network": "mix of all Qᵢ"}
+MIXED = {"": "its own target", "a sum": "sum of all Qᵢ", "a mixing network": "mix of all Qᵢ"}
 ARROW = (
     '<marker id="arrow-{name}" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
     'orient="auto"><path d="M0 0L8 4L0 8z"/></marker>'

@@ -17,6 +17,8 @@ import envs
 from envs.tasks import PAPER_TASKS
 
 FILMS = script.ROOT / "docs" / "films"
+
+
 def tasks_of(family: str) -> list[str]:
     """The paper's tasks of a family."""
     return [task for task in PAPER_TASKS if task.startswith(family)]
@@ -77,16 +79,15 @@ class TasksTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        rows = [
-            "| task | agents | actions | observation | state | longest episode | on-policy steps | off-policy steps |",
-            "|---" * 8 + "|",
-        ]
+        sizes = ["agents", "actions", "observation", "state", "longest episode"]
+        head = ["task", *sizes, "on-policy steps", "off-policy steps"]
+        rows = []
         for name in tasks_of(self.arguments[0]):
             task, env = envs.task(name), envs.make(name)
-            sizes = (env.n_agents, env.n_actions, env.obs_size, env.state_size, env.episode_limit)
-            cells = [f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)]
-            rows.append(f"| `{name}` | " + " | ".join(cells) + " |")
-        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+            numbers = (env.n_agents, env.n_actions, env.obs_size, env.state_size, env.episode_limit)
+            budgets = (task.on_policy_timesteps, task.off_policy_timesteps)
+            rows.append([f"`{name}`", *(f"{number:,}" for number in (*numbers, *budgets))])
+        return wide_table(self, head, rows)
 
 
 class SpeedTable(SphinxDirective):
@@ -95,22 +96,21 @@ class SpeedTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
+        family = self.arguments[0]
         table = results_data.report().speeds
-        table = table[
-            table["task"].map(
-                lambda task: task.startswith((self.arguments[0], "smac" if self.arguments[0] == "smaclite" else "-"))
-            )
+        table = table[table["task"].str.startswith((family, "smac-") if family == "smaclite" else family)]
+        wide = table.pivot_table(index="task", columns="whose", values="steps_per_second")[[*table["whose"].unique()]]
+        rows = [
+            [f"`{task}`", *("" if pd.isna(speed) else f"{speed:,.0f}" for speed in wide.loc[task])]
+            for task in results_data.tables.in_order(pd.Series(wide.index))
         ]
-        if table.empty:
-            text = "Nothing has been timed yet."
-            return [nodes.paragraph(text, text)]
-        wide = table.pivot_table(index="task", columns="whose", values="steps_per_second")
-        columns = list(dict.fromkeys(table["whose"]))
-        rows = ["| steps per second | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for task in results_data.tables.in_order(pd.Series(wide.index)):
-            values = ["" if pd.isna(wide.loc[task, column]) else f"{wide.loc[task, column]:,.0f}" for column in columns]
-            rows.append(f"| `{task}` | " + " | ".join(values) + " |")
-        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+        return wide_table(self, ["steps per second", *wide.columns], rows)
+
+
+def wide_table(directive: SphinxDirective, head: list[str], rows: list[list[str]]) -> list[nodes.Node]:
+    """A table of Markdown that may be wider than the page."""
+    table = directive.parse_text_to_nodes(results_data.tables.to_markdown(head, rows))
+    return [nodes.container("", *table, classes=["wide"])]
 
 
 def films() -> list[dict[str, str]]:

@@ -7,12 +7,14 @@ else it stays as it stands. A line that begins with `name:`, or with a name and 
 import inspect
 import re
 
-LEAD = re.compile(r"((?:[A-Z][\w ,+^.-]{0,50}|[a-z_][\w, -]{0,60})(?: \([^)]{1,60}\))?):(?= |$)")
+LEAD = re.compile(r"((?:[A-Z][\w ,+^.-]{0,50}|[a-z_][\w, -]{0,60})(?: \([^)]{1,60}\))?):(?= (?!and )|$)")
 TERM = re.compile(r"(\S(?:.{0,58}?\S)?) {2,}(\S.*)$")  # a name and what it means, in two columns
 CONTINUES = re.compile(r"[^.;:!?)]$")  # the line before ends in the middle of a sentence
 GAP = re.compile(r"(?<=\S) {2,}(?=\S)")
 FORMULA = r"(?<![\w`{])(?:pi|mu|rho|[A-Za-z])(?:\*|')?_(?:old|-?[a-z](?:,[a-z](?:\+1)?)?)(?!\w)"
-INLINE = re.compile(rf"(`[^`]+`)|(?<![\w`-])(--[a-z][\w-]*(?: gru)?)|({FORMULA})|arXiv:(\d{{4}}\.\d{{4,5}})|(https?://[^\s)]+)")
+INLINE = re.compile(
+    rf"(`[^`]+`)|(?<![\w`-])(--[a-z][\w-]*(?: gru)?)|({FORMULA})|arXiv:(\d{{4}}\.\d{{4,5}})|(https?://[^\s)]+)"
+)
 
 
 def to_markdown(text: str) -> str:

@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import re
 
 import plain_text
 from docutils import nodes
@@ -26,7 +27,8 @@ class Public(SphinxDirective):
 
     def entry(self, name: str, thing: object) -> list[nodes.Node]:
         """Signature and docstring."""
-        signature = str(inspect.signature(thing)).replace("'", "") if inspect.isroutine(thing) else ""
+        signature = str(inspect.signature(thing)) if inspect.isroutine(thing) else ""
+        signature = re.sub(r"(: |-> )'([^']+)'", r"\1\2", signature)  # types without their quotes
         head = nodes.literal("", f"{name}{signature}")
         text = plain_text.to_markdown(inspect.getdoc(thing) or "")
         return [nodes.paragraph("", "", head, classes=["signature"]), *self.parse_text_to_nodes(text)]

@@ -47,7 +47,8 @@ def text_of_cell(cell: Any, name: str, root: str) -> str:
     if not pd.isna(cell.paper_mean):
         theirs = f'<span class="paper">{results_data.tables.number(cell.paper_mean, cell.paper_interval)}</span>'
     return (
-        f'<a{best} href="{file}.csv">{value}</a>{signs} <button class="command" popovertarget="{name}">$</button>{theirs}'
+        f'<a{best} href="{file}.csv">{value}</a>{signs} '
+        f'<button class="command" popovertarget="{name}">$</button>{theirs}'
         f'<div class="behind" popover id="{name}"><code>{command}</code><br><a href="{file}.csv">CSV</a>, '
         f'<a href="{file}.json">JSON</a></div>'
     )
@@ -104,7 +105,7 @@ class Curves(Directive):
         found: list[str] = []
         missing: list[str] = []
         for task in self.arguments[0].split():
-            chart = charts.learning_curves(task, shared, names, legend=True)
+            chart = charts.learning_curves(task, shared, names, legend=len(names) > 1)
             if chart is None:
                 missing.append(task)
                 continue

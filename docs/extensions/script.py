@@ -147,7 +147,7 @@ class Script:
                 critic = {"observations": "the agent's observation", "states": "the state"}[seen[1]]
             else:
                 raise ValueError(f"algos/{self.name}.py does not say what its critic sees")
-        mixed = "a mixing network" if "Mixer(" in train else "their sum" if "values.sum(" in update else ""
+        mixed = "a mixing network" if "Mixer(" in train else "a sum" if "values.sum(" in update else ""
         return Facts("Replay(" in train, critic, mixed, "for epoch in" in update)
 
 

@@ -5,7 +5,7 @@
   const state = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
   state.task = state.task in families ? state.task : "lbf-8x8-2p-2f-c"; // the first on which all nine were run
   state.sharing = ["shared", "independent"].includes(state.sharing) ? state.sharing : "shared";
-  state.axis = ["steps", "share"].includes(state.axis) ? state.axis : "steps";
+  state.axis = ["steps", "share"].includes(state.axis) ? state.axis : "share";
   const ticked = new Set(state.algorithms ? state.algorithms.split(",") : algorithms);
 
   const element = (tag, attributes = {}, ...children) => {
@@ -57,7 +57,7 @@
       { className: "controls" },
       element("label", {}, "task ", task),
       element("fieldset", {}, element("legend", {}, "parameter sharing"), radio("sharing", "shared", "with"), radio("sharing", "independent", "without")),
-      element("fieldset", {}, element("legend", {}, "horizontal axis"), radio("axis", "steps", "timesteps"), radio("axis", "share", "share of the training")),
+      element("fieldset", {}, element("legend", {}, "horizontal axis"), radio("axis", "share", "share of the training"), radio("axis", "steps", "timesteps")),
       element("fieldset", {}, element("legend", {}, "algorithms"), ...algorithms.map(box)),
     ),
     drawing,
