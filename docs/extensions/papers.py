@@ -32,7 +32,7 @@ with open(FILE, newline="", encoding="utf-8") as rows:
 def pattern(paper: Paper) -> str:
     """A regular expression for the paper's title, or for its authors and year."""
     authors, title = (re.escape(text).replace(r"\ ", r"\s+") for text in (paper.authors, paper.title))
-    return rf"{title}|{authors},?\s+\(?{paper.year}\)?"
+    return rf"{title}|{authors},?\s+(?:\({paper.year}\)|{paper.year})"
 
 
 PATTERNS = [(re.compile(pattern(paper)), paper) for paper in PAPERS]

@@ -68,12 +68,15 @@ def block(lines: list[str]) -> str:
     if min(gaps) > 0:
         rows: list[list[str]] = []
         for line in own:
-            if line.startswith("   "):
-                rows[-1][1] += f" {line.strip()}"
+            first, *others = re.split(" {2,}", line.strip())
+            if line.startswith("   "):  # goes on with the second column of the line before
+                rows[-1][1] += f" {first}"
+                rows[-1] += others
             else:
-                rows.append(list(TERM.match(line).groups()))  # type: ignore[union-attr]
-        cells = [f"{name(row[0])} | {inline(re.sub(' +', ' ', row[1]))}" for row in rows]
-        return "\n".join(["| | |", "|---|---|", *(f"| {row} |" for row in cells)])
+                rows.append([first, *others])
+        width = max(map(len, rows))
+        cells = [[name(first), *map(inline, others), *[""] * (width - 1 - len(others))] for first, *others in rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in [[""] * width, ["---"] * width, *cells])
     found: list[str] = []
     for i, line in enumerate(own):
         if i == 0 or not CONTINUES.search(own[i - 1]):
