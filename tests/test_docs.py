@@ -1,5 +1,6 @@
 """The site: links from pages into scripts, observations value by value, and the built pages in a real browser."""
 
+import dataclasses
 import functools
 import json
 import re
@@ -22,6 +23,7 @@ from scripts import ROOT
 from selenium import webdriver
 
 import envs
+from envs import runs
 from envs.tasks import PAPER_TASKS
 
 DOCS = ROOT / "docs"
@@ -129,8 +131,8 @@ def test_as_many_formulas_in_latex_as_in_the_docstring(name):
 
 @pytest.mark.parametrize("name", script.ALGORITHMS)
 def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
-    runs = pd.read_csv(DOCS / "data" / "runs.csv", keep_default_na=False)
-    recorded = [f"python algos/{name}.py {flags}" for flags in runs[runs["algorithm"] == name]["flags"]]
+    table = pd.read_csv(DOCS / "data" / "runs.csv", keep_default_na=False)
+    recorded = [f"python algos/{name}.py {flags}" for flags in table[table["algorithm"] == name]["flags"]]
     commands = [line for line in algorithm_pages.commands(name) if not line.startswith("#")]
     assert len(commands) > 7 and len(recorded) == 2
     for command in commands + recorded:
@@ -138,7 +140,8 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
         assert words[0] == "python" and (ROOT / words[1]).exists()
         if words[1].startswith("algos"):
             flags = {word[2:].removeprefix("no-").replace("-", "_") for word in words if word.startswith("--")}
-            assert flags <= {*script.read(name).flags, "help"}, command
+            common = {field.name for field in dataclasses.fields(runs.Flags)}
+            assert flags <= {*script.read(name).flags, *common, "help"}, command
             if "--env" in words:
                 envs.task(words[words.index("--env") + 1])
 
@@ -506,10 +509,10 @@ def test_code_can_be_read(site, browser, theme):
 
 @pytest.mark.slow
 def test_lines_of_a_folded_function_can_be_reached(site, browser):
-    name, number = algorithm_pages.target("n_step_returns: masked_fill", "mappo")
+    name, number = algorithm_pages.target("n_step_returns: longer = rewards", "mappo")
     visit(browser, site / "algorithms" / f"{name}.html", f"#L-{number}")
     line = browser.find_element("id", f"L-{number}")
-    assert "masked_fill" in line.text and until(line.is_displayed)
+    assert "longer = rewards" in line.text and until(line.is_displayed)
 
 
 @pytest.mark.slow

@@ -15,16 +15,19 @@ import envs
 PACKAGE = Path(envs.__file__).parent
 FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 
+FUNCTIONS = ("envs.VectorEnv", "envs.film", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
     "vector.py": (),
+    "workers.py": ("envs.vector",),
     "render.py": ("envs.vector",),
-    "families": ("envs.families", "envs.vector", "envs.render", "envs.adapters.workers"),
+    "families": ("envs.families", "envs.vector", "envs.workers"),
+    "pictures": ("envs.families", "envs.render"),
     "tasks.py": ("envs.families", "envs.vector"),
-    "adapters": ("envs.adapters", "envs.tasks", "envs.vector", "envs.make"),
+    "adapters": ("envs.adapters", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.vector",),
-    "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.tasks", "envs.vector", "envs.render"),
-    "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", "envs.make", "envs.optional", "envs.VectorEnv"),
+    "__init__.py": ("envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
+    "runs": ("envs.runs", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 
 

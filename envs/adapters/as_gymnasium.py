@@ -24,6 +24,7 @@ sub-environment. `unwrapped` is the environment that `envs.make` builds, with n_
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -51,21 +52,21 @@ def make_vec(
     *,
     task: str,
     seed: int = 0,
+    env_kwargs: str | Mapping[str, Any] = "",
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     render_mode: str | None = None,
 ) -> Autoreset:
     """What `gymnasium.make_vec` calls.
 
-    task, num_envs, seed: as in `envs.make`. The seed of a later reset(seed=...) takes the place of this one.
+    task, num_envs, seed, env_kwargs: as in `envs.make`. A later reset(seed=...) takes the place of the seed.
     autoreset_mode, render_mode: see the module's docstring.
     Raises what `envs.make` raises, and InputError for an unknown mode.
     """
     modes = [mode.value for mode in AutoresetMode]
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")
-    return Autoreset(
-        envs.make(task, num_envs, seed, pictures=render_mode is not None), AutoresetMode(autoreset_mode), render_mode
-    )
+    env = envs.make(task, num_envs, seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
+    return Autoreset(env, AutoresetMode(autoreset_mode), render_mode)
 
 
 def rendering(env: VectorEnv, render_mode: str | None) -> dict[str, Any]:

@@ -23,6 +23,7 @@ Copies that train side by side need different seeds: with the same one they play
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,11 @@ Infos = dict[str, dict[str, Any]]
 class PettingZooEnv(ParallelEnv):
     """One sub-environment of a task; see the module's docstring."""
 
-    def __init__(self, name: str, seed: int, render_mode: str | None, strict: bool) -> None:
+    def __init__(
+        self, name: str, seed: int, render_mode: str | None, strict: bool, env_kwargs: str | Mapping[str, Any]
+    ) -> None:
         """See `envs.pettingzoo_env`."""
-        self.env = envs.make(name, num_envs=1, seed=seed, pictures=render_mode is not None)
+        self.env = envs.make(name, seed=seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
         self.metadata = {"name": name, "is_parallelizable": True, **rendering(self.env, render_mode)}
         self.render_mode = render_mode
         self.strict = strict

@@ -21,7 +21,7 @@ from typing import Any
 
 import filelock
 
-from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags
+from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
 from envs.runs.process import Stopwatch, provenance, say, script_hash
 from envs.vector import InputError
 
@@ -114,9 +114,25 @@ def renewed(saved: dict[str, Any]) -> dict[str, Any]:
     """A checkpoint of an older version, as this one writes it."""
     if "sizes" in saved:
         saved["network"] = saved.pop("sizes")
-    if saved["config"]["algorithm"] in ("coma", "vdn", "qmix"):
-        saved["config"]["flags"].pop("individual_rewards", None)  # was a flag that could only be off
-    return saved
+    names = {"first_weights": "W1", "first_bias": "b1", "last_weights": "w2", "last_bias": "b2"}  # of QMIX's mixer
+    for part in {"mixer", "target_mixer"} & saved.get("parts", {}).keys():
+        weights = {key.partition("."): x for key, x in saved["parts"][part].items()}
+        saved["parts"][part] = {f"{names.get(name, name)}.{rest}": x for (name, _, rest), x in weights.items()}
+    return saved | {"config": renewed_config(saved["config"])}
+
+
+def renewed_config(config: dict[str, Any]) -> dict[str, Any]:
+    """What config.json, a checkpoint or a table of results says of an older version's run, in the words of this one."""
+    switch = {"none": False, "batch": True}  # "running", which no setting of the paper has, stays what it was
+    renewed = dict(config)
+    for part in ("flags", "changed"):
+        flags = dict(config[part])
+        if (method := flags.get("reward_standardisation")) in switch:
+            flags["reward_standardisation"] = switch[method]
+        if config["algorithm"] in ("coma", "vdn", "qmix"):
+            flags.pop("individual_rewards", None)  # was a flag that could only be off
+        renewed[part] = flags
+    return renewed
 
 
 @contextlib.contextmanager
@@ -289,7 +305,7 @@ def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[st
     """
     return {
         "algorithm": Path(script).stem,
-        "flags": vars(args),
+        "flags": named_flags(args),
         "changed": changed_flags(args, default),
         "paper_timesteps": default.total_timesteps,
         "version": importlib.metadata.version("marl-baselines"),

@@ -61,10 +61,9 @@ class EpisodeFile:
         if not np.array_equal(self.slots["number"][(numbers - 1) % n_slots], numbers):
             raise InputError(f"{path} is damaged: it does not hold the last episodes of this run.")
 
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing: a checkpoint refers to what it finds on the disk."""
+    def flush(self) -> None:
+        """Writes what is still in memory only: a checkpoint refers to what it finds on the disk."""
         self.slots.flush()
-        return {}
 
     def write(self, number: int, episode: Mapping[str, NDArray[Any]]) -> None:
         """Writes an episode; its arrays may be shorter than the fields."""
