@@ -363,6 +363,14 @@ def test_no_link_and_no_anchor_is_broken(site):
 
 
 @pytest.mark.slow
+def test_papers_are_links(site):
+    """Also where a title begins in one line of the text and ends in the next."""
+    for name in script.ALGORITHMS:
+        links = parsed(site / "algorithms" / f"{name}.html").links
+        assert links.count("https://arxiv.org/abs/2006.07869") >= 3, name
+
+
+@pytest.mark.slow
 def test_pages_are_small(site):
     for file in site.glob("**/*.html"):
         own = [link for link in parsed(file).links if link.split("?")[0].endswith((".js", ".css"))]

@@ -1,6 +1,7 @@
 """Papers: where a page names one, by its title or by its authors and year, the name becomes a link."""
 
 import csv
+import itertools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -61,12 +62,14 @@ class LinkPapers(SphinxTransform):
 
     def apply(self, **kwargs: object) -> None:
         """Called by Sphinx, once a page."""
-        for text in list(self.document.findall(nodes.Text)):
-            parent, inside = text.parent, False
-            while parent is not None and not inside:
-                parent, inside = parent.parent, isinstance(parent, self.kept)
-            if not inside and len(found := linked(text.astext())) > 1:
-                text.parent.replace(text, found)
+        for element in list(self.document.findall(nodes.TextElement)):
+            if not isinstance(element, self.kept):
+                children = []
+                for is_text, group in itertools.groupby(element.children, lambda child: isinstance(child, nodes.Text)):
+                    # MyST makes a text of each line; a name may begin in one and end in the next
+                    children += linked("".join(child.astext() for child in group)) if is_text else group
+                element.clear()
+                element.extend(children)
 
 
 def setup(app: Sphinx) -> dict:
