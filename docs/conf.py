@@ -29,7 +29,7 @@ extensions = [
 ]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["data", "films", "extensions"]
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 myst_html_meta = {"description": "Nine cooperative multi-agent RL algorithms, one readable file each, explained"}
 smartquotes = False

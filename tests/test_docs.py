@@ -363,6 +363,12 @@ def test_no_link_and_no_anchor_is_broken(site):
 
 
 @pytest.mark.slow
+def test_the_terms_of_what_the_numbers_are_stand_out(site):
+    text = (site / "how-to" / "what-the-numbers-are.html").read_text(encoding="utf-8")
+    assert len(re.findall(r"<p><strong>[A-Z][A-Za-z ]+\.</strong>", text)) >= 10
+
+
+@pytest.mark.slow
 def test_papers_are_links(site):
     """Also where a title begins in one line of the text and ends in the next."""
     for name in script.ALGORITHMS:
