@@ -161,7 +161,8 @@ class MultiAgentNetwork(nn.Module):
             output, state = network(inputs[i], hidden[i] if hidden else None)
             outputs.append(output)
             new_hidden.append(state)
-        return torch.cat(outputs, dim=2), new_hidden
+        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
+        return output, new_hidden
 
 
 # --- maths ---
@@ -186,7 +187,7 @@ def n_step_returns(
     after the last step; played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
     values = values.clone()
-    values[1:][no_bootstrap] = 0.0  # of the state after a real end
+    values[1:].masked_fill_(no_bootstrap.unsqueeze(-1), 0.0)  # of states after a real end
     returns = values  # those of 0 steps; each round of the loop makes them one step longer
     for _ in range(min(n, len(rewards))):
         longer = rewards + gamma * returns[1:]
@@ -210,8 +211,7 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick), and
-    the logarithm of an exponential variable is minus such noise.
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
     """
     gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)

@@ -21,10 +21,10 @@ Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competit
 (2017). Unlike there, a_-i in L(actor) does not come from the replay.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As there, a time-out counts as an end, and the replay holds a million
-steps at most (2,000 episodes in RWARE). Their code, EPyMARL (July 2021), had no such limit, and it
-standardised rewards and trained MADDPG with padding, the rows after an episode's end. It also left
-out the steps that end an episode, began the target network's GRU one step late, and replayed 50,000
-episodes in batches of 16 (here 5,000, the paper's number, and 32).
+steps at most (2,000 episodes in RWARE). Their code, EPyMARL (July 2021), had no such limit,
+standardised rewards and trained MADDPG with padding (rows after an episode's end), left out the
+steps that end an episode, began the target's GRU one step late, and replayed 50,000 episodes in
+batches of 16 (here 5,000, as the paper says, and 32).
 
 With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.98 (the most is 1) after 2 million steps and 12
 minutes of one core. Without the ends it came to 0.50 at its best (the paper: 0.46).
@@ -151,7 +151,8 @@ class MultiAgentNetwork(nn.Module):
             output, state = network(inputs[i], hidden[i] if hidden else None)
             outputs.append(output)
             new_hidden.append(state)
-        return torch.cat(outputs, dim=2), new_hidden
+        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
+        return output, new_hidden
 
 
 # --- maths ---
@@ -174,8 +175,7 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick), and
-    the logarithm of an exponential variable is minus such noise.
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
     """
     gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)

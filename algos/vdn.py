@@ -153,7 +153,8 @@ class MultiAgentNetwork(nn.Module):
             output, state = network(inputs[i], hidden[i] if hidden else None)
             outputs.append(output)
             new_hidden.append(state)
-        return torch.cat(outputs, dim=2), new_hidden
+        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
+        return output, new_hidden
 
 
 # --- maths ---

@@ -23,7 +23,7 @@ from scripts import ROOT
 from selenium import webdriver
 
 import envs
-from envs import runs
+from envs.runs import Flags
 from envs.tasks import PAPER_TASKS
 
 DOCS = ROOT / "docs"
@@ -140,8 +140,8 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
         assert words[0] == "python" and (ROOT / words[1]).exists()
         if words[1].startswith("algos"):
             flags = {word[2:].removeprefix("no-").replace("-", "_") for word in words if word.startswith("--")}
-            common = {field.name for field in dataclasses.fields(runs.Flags)}
-            assert flags <= {*script.read(name).flags, *common, "help"}, command
+            shared = {field.name for field in dataclasses.fields(Flags)}
+            assert flags <= {*script.read(name).flags, *shared, "help"}, command
             if "--env" in words:
                 envs.task(words[words.index("--env") + 1])
 
