@@ -64,10 +64,11 @@ class LinkPapers(SphinxTransform):
         """Called by Sphinx, once a page."""
         for element in list(self.document.findall(nodes.TextElement)):
             if not isinstance(element, self.kept):
-                children = []
+                children: list[nodes.Node] = []
                 for is_text, group in itertools.groupby(element.children, lambda child: isinstance(child, nodes.Text)):
                     # MyST makes a text of each line; a name may begin in one and end in the next
-                    children += linked("".join(child.astext() for child in group)) if is_text else group
+                    found = list(group)
+                    children += linked("".join(child.astext() for child in found)) if is_text else found
                 element.clear()
                 element.extend(children)
 
