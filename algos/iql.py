@@ -12,7 +12,7 @@ older or a slowly moving copy of Q, so that the target does not follow every ste
     L        = mean over agents and steps of (y_i,t - Q_i(o_i,t, a_i,t))^2
 
 r is the team's reward. Q chooses the next action and Q' values it (double Q-learning). With
---individual-rewards r is agent i's own, and is standardised by itself.
+--individual-rewards r is agent i's own, standardised by its own mean.
 With --network gru, o_i,t stands for all that agent i has observed in the episode so far.
 
 Algorithm: Tan, "Multi-Agent Reinforcement Learning: Independent vs. Cooperative Agents" (1993).
@@ -159,7 +159,7 @@ class MultiAgentNetwork(nn.Module):
 def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent's own by their own mean.
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
     mean = sample.mean(0)

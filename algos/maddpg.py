@@ -15,7 +15,7 @@ whole episodes from the replay. Q' and mu' are older or slowly moving copies of 
 r is the team's reward, and mu' takes the likeliest action. In L(actor) the present policies draw
 all actions, a_i with a gradient and a_-i without; c, --actor-regularisation, keeps them from
 becoming certain early. With --network gru, o_i,t stands for all that agent i has observed in the
-episode so far. With --individual-rewards r is agent i's own, and is standardised by itself.
+episode so far. With --individual-rewards r is agent i's own, standardised by its own mean.
 
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
 (2017). Unlike there, a_-i in L(actor) does not come from the replay.
@@ -159,7 +159,7 @@ class MultiAgentNetwork(nn.Module):
 def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent's own by their own mean.
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
     mean = sample.mean(0)

@@ -19,8 +19,8 @@ follow every step of V.
 
 r is the team's reward, G the n-step return, A the advantage, H the entropy, e --entropy-coef. Where
 the episode ends before t + n, G has the rewards up to there, plus V' of the last state after a
-time-out, and nothing after a real end. With --individual-rewards r is agent i's own, and is
-standardised by itself.
+time-out, and nothing after a real end. With --individual-rewards r is agent i's own,
+standardised by its own mean.
 With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
 pi_old is the policy that gathered the experience, and c is --clip-coef.
 
@@ -168,7 +168,7 @@ class MultiAgentNetwork(nn.Module):
 def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent's own by their own mean.
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
     mean = sample.mean(0)

@@ -184,7 +184,7 @@ class Mixer(nn.Module):
 def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent's own by their own mean.
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
     mean = sample.mean(0)

@@ -43,6 +43,7 @@ class Args:
     resume: bool = False  # go on
     track: bool = False  # somewhere
     watch: str = ""  # a run
+    greedy: bool = False  # the best
     device: str = "cpu"  # where
 
 

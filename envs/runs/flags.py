@@ -87,7 +87,7 @@ RANGES = {
     "actor_regularisation": WEIGHT,
     "epsilon_start": PROBABILITY,
     "epsilon_end": PROBABILITY,
-    "epsilon_anneal": COUNT,
+    "epsilon_anneal": Range(0, 10**15),
     "eval_epsilon": PROBABILITY,
     "batch_size": SIZE,
     "buffer_size": COUNT,
