@@ -17,7 +17,6 @@ from reporting.plots import COLOURS  # noqa: E402
 
 ALGORITHMS = results.ALGORITHMS
 FAMILIES = results.PAPER_FAMILIES
-FIGURES = ROOT / "benchmark" / "figures"
 RESULTS = results.RESULTS
 OTHER_COLOUR = "#666666"
 TITLES = tables.TITLES

@@ -210,33 +210,6 @@ class ReportText(Directive):
         ]
 
 
-class FigureOfReport(Directive):
-    """A figure of benchmark/figures. Argument: its name. Content: its caption."""
-
-    required_arguments = 1
-    has_content = True
-
-    def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        file = results_data.FIGURES / f"{name}.png"
-        if not file.exists():
-            text = f"The figure {name} cannot be drawn yet: its results are missing."
-            return [nodes.paragraph(text, text)]
-        uri = f"/../benchmark/figures/{name}.png"
-        image = nodes.image("", uri=uri, alt=name, classes=["report"])
-        figure = nodes.figure("", image)
-        if caption := " ".join(self.content).strip():
-            figure += nodes.caption("", "", *self.parse_inline(caption)[0])
-        return [figure]
-
-
-class Explorer(Directive):
-    """Where static/explorer.js draws."""
-
-    def run(self) -> list[nodes.Node]:
-        return [raw('<div id="explorer"><noscript>The explorer needs JavaScript.</noscript></div>')]
-
-
 def write_data(static: Path) -> None:
     """The kinds of charts, and what static/explorer.js shows: all tasks and algorithms, and a file for each task."""
     curves = results_data.curves()
@@ -287,8 +260,6 @@ def setup(app: Sphinx) -> dict:
     app.add_directive("results-table", ResultsTable)
     app.add_directive("claims", Claims)
     app.add_directive("seeds-map", SeedsMap)
-    app.add_directive("figure-of-report", FigureOfReport)
-    app.add_directive("explorer", Explorer)
     for name in ("agreement", "agreement-by-family", "disagreements", "cpu-hours"):
         app.add_directive(name, ReportText)
     app.connect("html-page-context", add_explorer)
