@@ -14,7 +14,7 @@ import tyro
 
 import envs
 from envs.runs.process import flush_stdout
-from envs.vector import InputError
+from envs.vector import RESULT_COLUMNS, InputError
 
 Flags = TypeVar("Flags")  # the Args of a script
 
@@ -23,10 +23,6 @@ OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images"}
 OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
 NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
-
-# Columns of evaluations.csv and of benchmark/results
-RESULT_COLUMNS = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"}
-RESULT_COLUMNS |= {"task", "family", "algorithm", "sharing", "setting", "seed", "total_timesteps", "paper_timesteps"}
 
 
 class Range(NamedTuple):
