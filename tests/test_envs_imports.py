@@ -21,8 +21,9 @@ ALLOWED = {
     "render.py": ("envs.vector",),
     "families": ("envs.families", "envs.vector", "envs.render", "envs.adapters.workers"),
     "tasks.py": ("envs.families", "envs.vector"),
-    "adapters": ("envs.adapters", "envs.tasks", "envs.vector", "envs.make"),
-    "check.py": ("envs.vector",),
+    "faults.py": (),
+    "adapters": ("envs.adapters", "envs.faults", "envs.tasks", "envs.vector", "envs.make"),
+    "check.py": ("envs.faults", "envs.vector"),
     "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.tasks", "envs.vector", "envs.render"),
     "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", "envs.make", "envs.optional", "envs.VectorEnv"),
 }
