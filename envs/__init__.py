@@ -42,6 +42,15 @@ if TYPE_CHECKING:
 
 as_gymnasium.register()
 
+# What draws the families, by the modules of their rules
+PICTURES = {
+    "envs.families.matrix": "envs.pictures.matrix",
+    "envs.families.lbf": "envs.pictures.lbf",
+    "envs.families.rware": "envs.pictures.rware",
+    "envs.families.mpe": "envs.pictures.mpe",
+    "envs.families.smaclite.environment": "envs.pictures.smaclite",
+}
+
 
 def make(
     name: str,
@@ -61,7 +70,8 @@ def make(
     copy: with False, `reset` and `step` return the same arrays each time and allocate nothing.
 
     For pettingzoo: and gymnasium: environments (see `envs.adapters.foreign`):
-    env_kwargs: keyword arguments of the environment, as a mapping or as they stand in a call; also for own: ones.
+    env_kwargs: keyword arguments of the environment, as a mapping or as they stand in a call; also for own: ones, and
+    for the tasks of MPE with a built-in opponent, whose network "opponent='<file>'" replaces.
     max_episode_steps: episodes are cut after so many steps; 0: by the environment's own clock.
     flatten_images: make vectors of observations that are images.
     env_workers: the number of processes in which the sub-environments are played; 0: this process.
@@ -96,10 +106,14 @@ def make(
     else:
         module = importlib.import_module(described.module)
         given = {}
+        if options.get("env_kwargs", {}).keys() <= set(described.options):
+            given = options.pop("env_kwargs", {})
     if name.startswith(("pettingzoo:", "gymnasium:")):
         options["pictures"] = pictures
     elif options:
         option = next(iter(options))
+        if option == "env_kwargs" and described.options:
+            raise InputError(f"the only `env_kwargs` that {name} takes is {', '.join(described.options)}.")
         others = ", or of your own" if option == "env_kwargs" else ""
         raise InputError(
             f"`{option}` is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules."
@@ -112,7 +126,24 @@ def make(
     except MemoryError:
         raise too_large from None
     env.checks_numbers |= name.startswith("own:")
+    if described.module in PICTURES:
+        env.can_draw, env.picture = True, PICTURES[described.module]
     return env
+
+
+def named_kwargs(name: str, env_kwargs: str) -> str:
+    """A task's keyword arguments as results name them: an opponent's file by what it holds, not by where it lies.
+
+    Raises InputError where it is not the file of an opponent.
+    """
+    if not env_kwargs or not task(name).options:
+        return env_kwargs
+    from envs.families import mpe  # imports Numba
+
+    given = parse_kwargs(env_kwargs)
+    if given.get("opponent") is not None:
+        given["opponent"] = mpe.fingerprint(mpe.read_network(given["opponent"], task(name).settings["scenario"]))
+    return ", ".join(f"{option}={value!r}" for option, value in given.items())
 
 
 def optional(package: str, extra: str | None = None) -> ModuleType:
@@ -149,7 +180,12 @@ def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], epi
 
 
 def pettingzoo_env(
-    name: str, *, seed: int | None = None, render_mode: str | None = None, strict: bool = False
+    name: str,
+    *,
+    seed: int | None = None,
+    render_mode: str | None = None,
+    strict: bool = False,
+    env_kwargs: str | Mapping[str, Any] = "",
 ) -> PettingZooEnv:
     """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.adapters.as_pettingzoo` describes it.
 
@@ -157,8 +193,9 @@ def pettingzoo_env(
     render_mode: None, "rgb_array" or "human", which shows a window where there is a display.
     strict: whether an action that the mask forbids is an error. If not, the agent's first allowed action takes its
     place, because PettingZoo's own tests, and libraries that know no masks, choose any action of the action space.
+    env_kwargs: as in `make`.
     Raises InputError as `make` does, and for a render mode that the task does not have.
     """
     from envs.adapters.as_pettingzoo import PettingZooEnv  # imports PettingZoo
 
-    return PettingZooEnv(name, seed, render_mode, strict)
+    return PettingZooEnv(name, seed, render_mode, strict, env_kwargs)

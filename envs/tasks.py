@@ -34,6 +34,7 @@ class Task:
     on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
     eval_points: the number of evaluations in a run, including the one before training.
     module, settings: the module whose `Env` plays the task, and keyword arguments for it.
+    options: further keyword arguments that a user may give, as `env_kwargs`.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Task:
     eval_points: int
     module: str = field(repr=False)
     settings: Mapping[str, Any] = field(repr=False, hash=False)
+    options: tuple[str, ...] = ()
 
 
 PAPER_TASKS = (
@@ -294,7 +296,8 @@ def parse_mpe(name: str) -> Task | None:
         )
     if selfplay:  # 25,000 episodes, in which the opponents were trained
         return Task(name, "mpe", 625_000, 625_000, 41, "envs.families.mpe", settings)
-    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings)
+    options = ("opponent",) if match[3] else ()
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings, options)
 
 
 def parse_smac(name: str) -> Task | None:

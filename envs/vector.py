@@ -39,6 +39,7 @@ finished:
 
 from __future__ import annotations
 
+import importlib
 import operator
 import secrets
 from collections import Counter
@@ -145,6 +146,7 @@ class VectorEnv(GymnasiumVectorEnv):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 (typed like this by Gymnasium)
     can_draw = False
+    picture = ""  # the module of `envs.pictures` that draws this family; `envs.make` sets it
     checks_numbers = False  # whether what is not a finite number is an error; so for all environments but our own
 
     def __init__(
@@ -263,8 +265,14 @@ class VectorEnv(GymnasiumVectorEnv):
         return refused
 
     def frame(self, index: int = 0) -> NDArray[np.uint8]:
-        """A picture, uint8 [height, width, 3], of one sub-environment. Families with `can_draw` override this."""
-        raise ValueError(f"{self.name} has no picture.")
+        """A picture, uint8 [height, width, 3], of one sub-environment.
+
+        Environments that are not of this package override this, and set `can_draw`.
+        Raises ValueError where there is no picture.
+        """
+        if not self.picture:
+            raise ValueError(f"{self.name} has no picture.")
+        return importlib.import_module(self.picture).frame(self, index)  # imports Pillow
 
     @property
     def episode(self) -> int:

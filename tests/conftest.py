@@ -1,10 +1,14 @@
 """For all tests."""
 
 import envs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are computed as there)
+import signal
 from pathlib import Path
 
 import pytest
 from filelock import FileLock
+
+if hasattr(signal, "SIGHUP"):  # `nohup` has it ignored, and programs keep it so; tests ask what it does otherwise
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

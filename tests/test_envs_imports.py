@@ -15,17 +15,20 @@ import envs
 PACKAGE = Path(envs.__file__).parent
 FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 
+FUNCTIONS = ("envs.VectorEnv", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
     "vector.py": (),
+    "workers.py": ("envs.vector",),
     "render.py": ("envs.vector",),
-    "families": ("envs.families", "envs.vector", "envs.render", "envs.adapters.workers"),
+    "families": ("envs.families", "envs.vector", "envs.workers"),
+    "pictures": ("envs.families", "envs.render"),
     "tasks.py": ("envs.families", "envs.vector"),
     "faults.py": (),
-    "adapters": ("envs.adapters", "envs.faults", "envs.tasks", "envs.vector", "envs.make"),
+    "adapters": ("envs.adapters", "envs.faults", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.faults", "envs.vector"),
-    "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.tasks", "envs.vector", "envs.render"),
-    "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", "envs.make", "envs.optional", "envs.VectorEnv"),
+    "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
+    "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 
 

@@ -10,6 +10,7 @@ import copy
 import json
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -30,6 +32,7 @@ from torch import nn
 import envs
 from envs import render, runs, tasks
 from envs.families import mpe
+from envs.pictures import mpe as pictures
 
 RECORDED = sorted((Path(__file__).parent / "data").glob("mpe-*.npz"))
 FULL = os.environ.get("ENVS_FULL") == "1"
@@ -427,7 +430,7 @@ def test_opponents_act_as_their_networks_say(name: str, shipped: bool, tmp_path:
         path = random_network(tmp_path / "network.npz", 10 if "adversary" in name else 16)
     env = mpe.Env(name, 4, 1, True, **task.settings, opponent=path)
     all_learn = make(f"{name}-selfplay", 4, seed=1)
-    network = in_torch(mpe.read_network(path))
+    network = in_torch(mpe.read_network(path, "tag" if "tag" in name else "adversary"))
     opponent = all_learn.teams.index(1)
     rng = np.random.default_rng(3)
     taken = set()
@@ -449,6 +452,72 @@ def test_opponents_act_as_their_networks_say(name: str, shipped: bool, tmp_path:
             np.testing.assert_array_equal(our_rewards, rewards)
             np.testing.assert_array_equal(our_info["agent_rewards"], info["agent_rewards"][:, learning])
     assert len(taken) > 1
+
+
+@pytest.mark.parametrize("name", AGAINST_OPPONENTS)
+def test_an_opponent_of_ones_own(name: str, tmp_path: Path) -> None:
+    """In all the ways to build an environment."""
+    path = random_network(tmp_path / "it's mine.npz", 10 if "adversary" in name else 16)
+    kwargs = f"opponent={str(path)!r}"
+    env = envs.make(name, 1, 3, env_kwargs=kwargs)
+    usual = envs.make(name, 1, 3)
+    vectors = gymnasium.make_vec("marl/task", num_envs=1, task=name, seed=3, env_kwargs=kwargs)
+    parallel = envs.pettingzoo_env(name, seed=3, env_kwargs={"opponent": path})
+    for each in (env, usual, vectors, parallel):
+        each.reset()
+    still = np.zeros((1, env.n_agents), int)
+    differs = False
+    for _ in range(20):
+        observations, *_ = env.step(still)
+        differs |= not np.array_equal(observations, usual.step(still)[0])
+        np.testing.assert_array_equal(vectors.step(still)[0], observations)
+        seen = parallel.step(dict.fromkeys(parallel.agents, 0))[0]
+        np.testing.assert_array_equal(np.stack(list(seen.values())), observations[0])
+    assert differs
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "said"),
+    [
+        ("mpe-tag", "missing.npz", "there is no opponent's file '.*missing.npz'"),
+        ("mpe2-adversary", "915a50e2ce129bc1", "Results name a network by its contents, `env_kwargs` by its file"),
+        ("mpe-tag", "damaged.npz", "'.*damaged.npz' is not the file of an opponent's network, or is damaged"),
+        ("mpe-tag", "other.npz", "is not the file of an opponent's network"),
+        ("mpe-tag", ".", "the opponent's file cannot be read: .*Is a directory"),
+        ("mpe-tag", "narrow.npz", r"is no opponent for tag: .* from 16 values to 5 actions .* \(10, 20\), \(20,\)"),
+        ("mpe-adversary", "wide.npz", r"is no opponent for adversary: .* from 10 values .* \(16, 20\)"),
+        ("mpe-tag", "infinite.npz", "is no opponent for tag: its network must be finite"),
+        ("mpe-tag-selfplay", "wide.npz", "mpe-tag-selfplay has its own rules"),
+        ("mpe-spread", "wide.npz", "mpe-spread has its own rules"),
+    ],
+)
+def test_wrong_files_of_opponents(name: str, file: str, said: str, tmp_path: Path) -> None:
+    random_network(tmp_path / "narrow.npz", 10)
+    random_network(tmp_path / "wide.npz", 16)
+    arrays = dict(np.load(tmp_path / "wide.npz"))
+    np.savez(tmp_path / "infinite.npz", **arrays | {"last_bias": np.full(5, np.nan, np.float32)})
+    np.savez(tmp_path / "other.npz", first_weight=np.zeros(3))
+    whole = (tmp_path / "wide.npz").read_bytes()
+    (tmp_path / "damaged.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(envs.InputError, match=said):
+        envs.make(name, env_kwargs={"opponent": tmp_path / file})
+
+
+def test_other_arguments_than_an_opponent_are_refused() -> None:
+    with pytest.raises(envs.InputError, match="the only `env_kwargs` that mpe-tag takes is opponent"):
+        envs.make("mpe-tag", env_kwargs="speed=3")
+
+
+def test_an_opponent_is_named_by_its_contents(tmp_path: Path) -> None:
+    """Not by its place; and another one has another name."""
+    first = random_network(tmp_path / "first.npz", 16)
+    copy = tmp_path / "copy.npz"
+    np.savez_compressed(copy, **dict(np.load(first)))
+    other = random_network(tmp_path / "other.npz", 16, hidden=21)
+    names = [envs.named_kwargs("mpe-tag", f"opponent={str(path)!r}") for path in (first, copy, other)]
+    assert re.fullmatch("opponent='[0-9a-f]{16}'", names[0])
+    assert names[0] == names[1] != names[2]
+    assert envs.named_kwargs("own:mine", "opponent='x'") == "opponent='x'"
 
 
 def test_a_refused_step_does_not_let_the_opponent_decide() -> None:
@@ -585,7 +654,7 @@ def test_frames_of_an_episode(name: str) -> None:
     assert (frames[0] != frames[1]).any() and (frames[0] != env.frame(index=0)).any()
     assert near(frames[-1], render.AGENTS[0]) > 100
     assert (near(frames[-1], render.AGENTS[1]) > 50) == ("adversary" in name or "tag" in name)
-    assert (near(frames[-1], mpe.GOAL) > 30) == ("adversary" in name or "listener" in name)
+    assert (near(frames[-1], pictures.GOAL) > 30) == ("adversary" in name or "listener" in name)
 
 
 def test_who_touches_is_seen() -> None:
@@ -593,9 +662,9 @@ def test_who_touches_is_seen() -> None:
     env.reset()
     obstacles = [[-0.9, -0.9], [0.9, 0.9]]
     place(env, 0, [[0, 0], [0.05, 0], [0.5, 0.5], [-0.5, 0.5]], obstacles)
-    assert near(env.frame(), mpe.TOUCH) == 0  # predators among themselves do not count
+    assert near(env.frame(), pictures.TOUCH) == 0  # predators among themselves do not count
     place(env, 0, [[0, 0], [0.05, 0], [0.5, 0.5], [0.45, 0.5]], obstacles)
-    assert near(env.frame(), mpe.TOUCH) > 100
+    assert near(env.frame(), pictures.TOUCH) > 100
 
 
 def test_the_symbol_is_seen() -> None:

@@ -12,6 +12,8 @@ from PIL import Image
 import envs
 from envs import render
 from envs.families import lbf
+from envs.pictures import lbf as pictures
+from envs.pictures import rware as warehouse
 from envs.render import save_film
 
 
@@ -47,27 +49,23 @@ def test_frames_of_an_episode(name: str) -> None:
 
 
 def test_who_loads_is_seen() -> None:
-    from envs.families import lbf
-
     env = envs.make("lbf-6x6-2p-2f")
     assert isinstance(env, lbf.Env)
     env.reset()
     env.game.agent[0] = [(1, 1, 1), (1, 3, 2)]
     env.game.food[0] = [(1, 2, 3), (4, 4, 1)]
-    assert near(env.frame(0), lbf.AMBER) == near(env.frame(0), lbf.GREEN) == 0
-    apples = near(env.frame(0), lbf.APPLE)
+    assert near(env.frame(0), pictures.AMBER) == near(env.frame(0), pictures.GREEN) == 0
+    apples = near(env.frame(0), pictures.APPLE)
     env.step([[5, 0]])
-    assert near(env.frame(0), lbf.AMBER) > 300 and near(env.frame(0), lbf.GREEN) == 0
+    assert near(env.frame(0), pictures.AMBER) > 300 and near(env.frame(0), pictures.GREEN) == 0
     env.step([[5, 5]])
-    assert near(env.frame(0), lbf.GREEN) > 600 and near(env.frame(0), lbf.AMBER) == 0
-    assert near(env.frame(0), lbf.APPLE) < 0.7 * apples
+    assert near(env.frame(0), pictures.GREEN) > 600 and near(env.frame(0), pictures.AMBER) == 0
+    assert near(env.frame(0), pictures.APPLE) < 0.7 * apples
     env.step([[0, 0]])
-    assert near(env.frame(0), lbf.GREEN) == 0
+    assert near(env.frame(0), pictures.GREEN) == 0
 
 
 def test_agents_on_one_cell_are_both_seen() -> None:
-    from envs.families import lbf
-
     env = envs.make("lbf-6x6-2p-1f")
     assert isinstance(env, lbf.Env)
     env.reset()
@@ -101,10 +99,10 @@ def test_who_carries_and_what_is_delivered_is_seen() -> None:
     env.step([[1, 0]])
     assert env.rewards[0] == 1
     delivered = env.frame(0)
-    assert near(delivered, rware.DELIVERED) > near(carried, rware.DELIVERED) + 200
+    assert near(delivered, warehouse.DELIVERED) > near(carried, warehouse.DELIVERED) + 200
     env.step([[0, 2]])
     afterwards = env.frame(0)
-    assert near(afterwards, rware.DELIVERED) < near(carried, rware.DELIVERED)  # agent and shelf hide a goal
+    assert near(afterwards, warehouse.DELIVERED) < near(carried, warehouse.DELIVERED)  # agent and shelf hide a goal
     assert (afterwards != delivered).any()
 
 

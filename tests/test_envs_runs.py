@@ -27,6 +27,7 @@ from envs import InputError, runs
 class Args:
     # task
     env: str = "matrix-climbing"  # the task
+    env_kwargs: str = ""  # of the task
     seed: int = 0  # of everything
     total_timesteps: int = 1000  # length
     parameter_sharing: bool = True  # one network for all agents, or one for each
@@ -109,7 +110,7 @@ class TestFlags:
 
     def test_what_is_played_is_named_before_how(self) -> None:
         """Wherever it stands in Args, so that directories of older versions keep their names."""
-        args = SimpleNamespace(gamma=0.5, env_kwargs="N=2", hidden_dim=64, max_episode_steps=9)
+        args = SimpleNamespace(env="own:mine", gamma=0.5, env_kwargs="N=2", hidden_dim=64, max_episode_steps=9)
         default = SimpleNamespace(gamma=0.9, env_kwargs="", hidden_dim=128, max_episode_steps=0)
         assert list(runs.changed_flags(args, default)) == ["env_kwargs", "max_episode_steps", "gamma", "hidden_dim"]
 

@@ -23,9 +23,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import envs
-from envs.families.smaclite import environment, maps, rules
+from envs.families.smaclite import maps, rules
 from envs.families.smaclite.environment import Env
 from envs.families.smaclite.rules import ATTACK, EAST, NORTH, SOUTH, STOP, WEST
+from envs.pictures import smaclite as pictures
 
 FULL = os.environ.get("ENVS_FULL") == "1"
 EPISODES = 1_000 if FULL else 100
@@ -775,7 +776,7 @@ def test_pictures_show_the_part_of_the_map_where_units_are() -> None:
     env.game.unit.x[0, 0] = 4.0  # far in the west
     wide = env.frame()
     assert close.shape == wide.shape
-    assert coloured(close, environment.ENEMY) > 1.2 * coloured(wide, environment.ENEMY) > 0
+    assert coloured(close, pictures.ENEMY) > 1.2 * coloured(wide, pictures.ENEMY) > 0
 
 
 def test_pictures() -> None:
@@ -783,11 +784,11 @@ def test_pictures() -> None:
         env = make(name, 2)
         start = env.frame(1)
         assert start.dtype == np.uint8 and start.ndim == 3 and env.can_draw
-        assert coloured(start, environment.ALLY) > 300 and coloured(start, environment.ENEMY) > 300
-        assert coloured(start, environment.GRAVE) == 0
-        assert (coloured(start, environment.WALL) > 0) == (name == "corridor-sc2")  # else beyond what is shown
+        assert coloured(start, pictures.ALLY) > 300 and coloured(start, pictures.ENEMY) > 300
+        assert coloured(start, pictures.GRAVE) == 0
+        assert (coloured(start, pictures.WALL) > 0) == (name == "corridor-sc2")  # else beyond what is shown
         for _ in range(30):
             env.step(battles.attack_nearest(env, np.random.default_rng(0)))
         frame = env.frame(1)
         assert frame.shape == start.shape
-        assert coloured(frame, environment.GRAVE) > 0
+        assert coloured(frame, pictures.GRAVE) > 0

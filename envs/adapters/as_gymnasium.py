@@ -27,6 +27,7 @@ sub-environment. `unwrapped` is the environment that `envs.make` builds, with n_
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -60,13 +61,14 @@ def make_vec(
     *,
     task: str,
     seed: int | None = None,
+    env_kwargs: str | Mapping[str, Any] = "",
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     render_mode: str | None = None,
 ) -> Autoreset:
     """What `gymnasium.make_vec` calls.
 
-    task, num_envs, seed: as in `envs.make`. Without a seed, one is drawn that nobody has chosen. The seed of a later
-    reset(seed=...) takes the place of this one.
+    task, num_envs, seed, env_kwargs: as in `envs.make`. Without a seed, one is drawn that nobody has chosen. A later
+    reset(seed=...) takes the place of the seed.
     autoreset_mode, render_mode: see the module's docstring.
     Raises what `envs.make` raises, and InputError for an unknown mode.
     """
@@ -74,7 +76,7 @@ def make_vec(
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")
     seed = fresh_seed() if seed is None else seed
-    env = envs.make(task, num_envs, seed, pictures=render_mode is not None)
+    env = envs.make(task, num_envs, seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
     return Autoreset(env, AutoresetMode(autoreset_mode), render_mode)
 
 

@@ -28,6 +28,7 @@ Seeds are as Gymnasium has them. Without a seed, each copy draws one of its own,
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,10 +48,17 @@ Infos = dict[str, dict[str, Any]]
 class PettingZooEnv(ParallelEnv):
     """One sub-environment of a task; see the module's docstring."""
 
-    def __init__(self, name: str, seed: int | None, render_mode: str | None, strict: bool) -> None:
+    def __init__(
+        self,
+        name: str,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        strict: bool = False,
+        env_kwargs: str | Mapping[str, Any] = "",
+    ) -> None:
         """See `envs.pettingzoo_env`."""
         seed = fresh_seed() if seed is None else seed
-        self.env = envs.make(name, num_envs=1, seed=seed, pictures=render_mode is not None)
+        self.env = envs.make(name, seed=seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
         modes = rendering(self.env, render_mode, human=True)
         self.metadata = {"name": name, "is_parallelizable": True, **modes}
         self.window: Window | None = None

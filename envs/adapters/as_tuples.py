@@ -33,11 +33,9 @@ class TupleEnv(gymnasium.Env[Observations, Any]):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"]}  # noqa: RUF012 (typed like this by Gymnasium)
 
-    def __init__(
-        self, task: str, seed: int | None = None, render_mode: str | None = None, strict: bool = False
-    ) -> None:
-        """See `envs.pettingzoo_env`."""
-        self.game = PettingZooEnv(task, seed, render_mode, strict)
+    def __init__(self, task: str, **options: Any) -> None:
+        """options: those of `envs.pettingzoo_env`."""
+        self.game = PettingZooEnv(task, **options)
         self.metadata, self.render_mode = self.game.metadata, self.game.render_mode
         self.agent_names, self.episode_limit = self.game.possible_agents, self.game.env.episode_limit
         self.n_agents = len(self.agent_names)

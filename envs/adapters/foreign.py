@@ -58,9 +58,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.adapters.workers import Games
 from envs.faults import in_words, place
 from envs.vector import RESULT_COLUMNS, InputError
+from envs.workers import Games
 
 # Where environments keep the number of steps after which they end an episode
 CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")

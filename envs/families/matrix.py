@@ -29,7 +29,6 @@ from envs.families.kernels import compiled, forbidden_action
 
 EPISODE_LIMIT = 25
 CLIMBING = ((11, -30, 0), (-30, 7, 0), (0, 6, 5))
-LIT, ROW, COLUMN = (255, 214, 102), (31, 105, 180), (204, 102, 0)  # in a frame: the joint action, and who chose it
 
 
 class State(NamedTuple):
@@ -77,8 +76,6 @@ def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, acti
 class Env(vector.VectorEnv):
     """Matrix games; see the module's docstring."""
 
-    can_draw = True
-
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, penalty: int | None) -> None:
         """penalty: the k of the penalty game, or None for climbing."""
         super().__init__(
@@ -86,9 +83,10 @@ class Env(vector.VectorEnv):
         )
         matrix = CLIMBING if penalty is None else ((-penalty, 0, 10), (0, 2, 0), (10, 0, -penalty))
         self.matrix = matrix
-        self.chosen = np.full((num_envs, 2), -1)  # the last joint action, for frames; -1: none yet
+        self.steps = np.zeros(num_envs, np.int64)
+        self.chosen = np.full((num_envs, 2), -1)  # the last joint action, for pictures; -1: none yet
         self.scores = np.zeros(num_envs)  # the returns so far
-        self._arrays = (np.zeros(num_envs, np.int64), self.agent_rewards, self.truncated)
+        self._arrays = (self.steps, self.agent_rewards, self.truncated)
         self._step_arrays = (*self._arrays, self.rewards, self.action_mask, np.array(matrix, np.float32))
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
@@ -103,27 +101,3 @@ class Env(vector.VectorEnv):
             self.chosen[playing] = actions[playing]
             self.scores[playing] += self.rewards[playing]
         return refused
-
-    def frame(self, index: int = 0) -> NDArray[np.uint8]:
-        """The payoff matrix of one sub-environment, with the last joint action lit.
-
-        The row that agent 0 chose is blue at its edge, the column that agent 1 chose is orange.
-        """
-        from envs import render  # Pillow is needed only where something is drawn
-
-        cell, left, top = 60, 40, 64
-        canvas = render.Canvas(left + 3 * cell + 10, top + 3 * cell + 10)
-        canvas.text(10, 14, self.name, 13, anchor="lm")
-        canvas.text(10, 32, f"step {self._arrays[0][index]} / {EPISODE_LIMIT}", 13, anchor="lm")
-        canvas.text(left + 3 * cell, 32, f"return {self.scores[index]:.0f}", 13, anchor="rm")
-        row, column = self.chosen[index].tolist()
-        for i in range(3):
-            across, up = left + (i + 0.5) * cell, top + (i + 0.5) * cell
-            canvas.text(left - 16, up, str(i), 15, ROW if i == row else render.LINES)
-            canvas.text(across, top - 14, str(i), 15, COLUMN if i == column else render.LINES)
-            for j in range(3):
-                x, y = left + (j + 0.5) * cell, top + (i + 0.5) * cell
-                lit = (i, j) == (row, column)
-                canvas.square(x, y, cell / 2 - 3, LIT if lit else render.WHITE, render.LINES)
-                canvas.text(x, y, str(self.matrix[i][j]), 18)
-        return canvas.frame()

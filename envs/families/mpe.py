@@ -57,11 +57,13 @@ adversary, both at the end; occupied_landmarks, those with an agent within 0.1 a
 Opponents: networks that benchmark/train_opponents.py has trained with the learning team in the paper's -selfplay task
 and that always take the most probable action. Like every agent, an opponent decides before it knows what the others do
 in the same step: it acts on the observation that the last step (or the reset) has left. mpe2-... has the same
-opponents, their moves translated. The files opponents/*.json say where they come from.
+opponents, their moves translated. The files opponents/*.json say where they come from. With
+env_kwargs="opponent='<file>'" the network in that file plays instead: an archive of NumPy arrays named as in `Network`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 from math import exp, log1p, sqrt
 from typing import Any, NamedTuple
@@ -85,9 +87,6 @@ CONTACT_FORCE, CONTACT_MARGIN = 100.0, 0.001
 OCCUPIED = 0.1  # a landmark is occupied by an agent nearer than this
 FAR_APART = 40  # margins between two discs from which on their force, below 1e-18, is left out
 GOAL_COLOUR, OTHER_COLOUR = 0.65, 0.15  # what the speaker sees of the goal and of the other landmarks
-
-# Colours of a frame
-CALM, GOAL, TOUCH = (165, 163, 156), (60, 165, 85), (205, 45, 55)  # landmarks, the goal, agents that touch
 
 
 class State(NamedTuple):
@@ -450,10 +449,37 @@ class Network(NamedTuple):
     last_bias: NDArray[np.float32]
 
 
-def read_network(path: str | os.PathLike[str]) -> Network:
-    """The network in an archive that benchmark/train_opponents.py has written."""
-    with np.load(path) as arrays:
-        return Network(*(arrays[name] for name in Network._fields))
+def read_network(path: str | os.PathLike[str], scenario: str) -> Network:
+    """The network in an archive of six arrays, named as in `Network`, as benchmark/train_opponents.py writes it.
+
+    Raises InputError where the file is missing or damaged, and where the network does not fit the scenario's opponent.
+    """
+    try:
+        with np.load(path) as arrays:
+            network = Network(*(np.ascontiguousarray(arrays[name], np.float32) for name in Network._fields))
+    except FileNotFoundError:
+        raise vector.InputError(
+            f"there is no opponent's file {str(path)!r}. Results name a network by its contents, `env_kwargs` by its "
+            "file."
+        ) from None
+    except OSError as error:
+        raise vector.InputError(f"the opponent's file cannot be read: {error}.") from None
+    except Exception:  # NumPy and zipfile raise almost anything on a damaged file
+        raise vector.InputError(f"{str(path)!r} is not the file of an opponent's network, or is damaged.") from None
+    game, hidden = SCENARIOS[scenario], network.first_bias.shape
+    fitting = [(game.obs_size, *hidden), hidden, hidden * 2, hidden, (*hidden, 5), (5,)]
+    shapes = [array.shape for array in network]
+    if shapes != fitting or not all(np.isfinite(array).all() for array in network):
+        raise vector.InputError(
+            f"{str(path)!r} is no opponent for {scenario}: its network must be finite and lead from {game.obs_size} "
+            f"values to 5 actions over two equal hidden layers; its arrays are {', '.join(map(str, shapes))}."
+        )
+    return network
+
+
+def fingerprint(network: Network) -> str:
+    """16 hexadecimal digits that name a network by its weights, whatever file they come from."""
+    return hashlib.sha256(b"".join(array.tobytes() for array in network)).hexdigest()[:16]
 
 
 @compiled
@@ -592,8 +618,6 @@ MPE2: dict[str, Any] = {
 class Env(vector.VectorEnv):
     """The particle environments; see the module's docstring."""
 
-    can_draw = True
-
     def __init__(
         self,
         name: str,
@@ -609,6 +633,7 @@ class Env(vector.VectorEnv):
         """paper: the paper's game, else mpe2's. selfplay: the agents of team 1 learn too.
 
         opponent: the archive of the network that plays team 1 otherwise; None for the one that comes with this package.
+        Raises InputError for a file without such a network.
         """
         game = SCENARIOS[scenario]
         n_agents, team = len(game.teams), [i for i, number in enumerate(game.teams) if number == 0]
@@ -666,12 +691,12 @@ class Env(vector.VectorEnv):
             landmark_range=game.landmark_range,
             **(PAPER if paper else MPE2),
         )
-        self._team_of = game.teams
+        self.team_of = game.teams
         self._arguments = (tuple(self.game), tuple(self.config))
         self._step_arguments = (*self._arguments, self.action_mask)
 
         if not all_learn:
-            network = read_network(opponent or OPPONENTS / f"mpe-{scenario}.npz")
+            network = read_network(OPPONENTS / f"mpe-{scenario}.npz" if opponent is None else opponent, scenario)
             biases = (network.first_bias, network.core_bias, network.last_bias)
             first, core, last = (np.zeros_like(bias) for bias in biases)
             plays = (self.game.views, self.config.opponent, self.game.opponent_action)
@@ -689,60 +714,3 @@ class Env(vector.VectorEnv):
         if self.config.opponent >= 0 and refused < 0:
             decide_all(*self._opponent_arguments, playing)
         return refused
-
-    def frame(self, index: int = 0) -> NDArray[np.uint8]:
-        """One sub-environment: team 0 in blue, team 1 in orange, landmarks grey, the goal green, lines for velocities.
-
-        Agents that touch another have a red rim. The speaker is a square; a bubble has the symbol that it said. The
-        grey frame goes from -1 to 1; where an agent is far outside, the picture shows more of the plane.
-        """
-        from envs import render  # Pillow is needed only where something is drawn
-
-        side, caption = 560, 34
-        agents, landmarks = self.game.agent_position[index], self.game.landmark_position[index]
-        farthest = max(np.abs(agents).max(), np.abs(landmarks).max())
-        shown = max(1.25, np.ceil(4 * farthest + 1) / 4)  # half of the side; in quarters, so that a film is calm
-        scale = side / (2 * shown)
-        canvas = render.Canvas(side, side + caption)
-
-        def pixel(place: NDArray[np.float64]) -> tuple[float, float]:
-            return side / 2 + scale * place[0], caption + side / 2 - scale * place[1]
-
-        corners = [pixel(np.array(corner)) for corner in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        for corner, following in zip(corners, corners[1:] + corners[:1]):
-            canvas.line(*corner, *following, render.LINES, 2)
-        for k, place in enumerate(landmarks):
-            colour = GOAL if k == self.game.goal[index] else CALM
-            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), colour)
-
-        n_agents = len(agents)
-        apart = np.linalg.norm(agents[:, None] - agents, axis=2)
-        touching = (apart < self.config.radius[:, None] + self.config.radius) & ~np.eye(n_agents, dtype=bool)
-        if self.config.scenario == TAG:  # what counts is the prey
-            touching[:PREY, :PREY] = False
-        collides = self.config.scenario in (SPREAD, TAG)
-        for i, place in enumerate(agents):
-            colour = render.AGENTS[self._team_of[i]]
-            edge = TOUCH if collides and touching[i].any() else render.WHITE
-            radius = max(scale * self.config.radius[i], 9)
-            x, y = pixel(place)
-            ahead = pixel(place + 0.3 * self.game.agent_velocity[index, i])  # where it would come to rest
-            canvas.line(x, y, *ahead, colour, 3)
-            if self.config.acceleration[i] == 0:
-                canvas.square(x, y, radius, colour, edge, 2)
-            else:
-                canvas.circle(x, y, radius, colour, edge, 4 if edge == TOUCH else 2)
-        for k, place in enumerate(landmarks):  # once more, so that one is seen under an agent
-            colour, width = (GOAL, 4) if k == self.game.goal[index] else (CALM, 2)
-            canvas.circle(*pixel(place), max(scale * self.config.landmark_radius, 7), None, colour, width)
-        for i, place in enumerate(agents):
-            canvas.text(*pixel(place), str(i), min(max(1.3 * scale * self.config.radius[i], 12), 24), render.WHITE)
-        if self.game.symbol[index] >= 0:
-            x, y = pixel(agents[SPEAKER])
-            canvas.line(x + 12, y - 13, x + 24, y - 26, render.INK, 2)  # not over its number
-            canvas.circle(x + 28, y - 32, 14, render.WHITE, render.INK, 2)
-            canvas.text(x + 28, y - 32, "ABC"[self.game.symbol[index]], 17)
-
-        canvas.text(10, caption / 2, f"step {self.game.steps[index]} / {EPISODE_LIMIT}", 15, anchor="lm")
-        canvas.text(side - 10, caption / 2, f"return {self.game.score[index]:.2f}", 15, anchor="rm")
-        return canvas.frame()

@@ -32,8 +32,8 @@ import psutil
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.adapters.workers import Games
 from envs.vector import InputError
+from envs.workers import Games
 
 STATISTICS = ("battle_won", "dead_allies", "dead_enemies")
 GAME_BYTES = 2**30  # of memory, roughly

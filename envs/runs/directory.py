@@ -21,7 +21,7 @@ from typing import Any
 
 import filelock
 
-from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags
+from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
 from envs.runs.process import Stopwatch, provenance, say, script_hash
 from envs.vector import InputError
 
@@ -289,7 +289,7 @@ def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[st
     """
     return {
         "algorithm": Path(script).stem,
-        "flags": vars(args),
+        "flags": named_flags(args),
         "changed": changed_flags(args, default),
         "paper_timesteps": default.total_timesteps,
         "version": importlib.metadata.version("marl-baselines"),

@@ -143,13 +143,18 @@ def check_flags(args: Any) -> None:
             raise InputError(f"{as_flag(name, value)}: the value must lie {bounds}.")
 
 
+def named_flags(args: Any) -> dict[str, Any]:
+    """A script's flags as results name them: what a file holds counts, and not where it lies on a machine."""
+    return vars(args) | {"env_kwargs": envs.named_kwargs(args.env, args.env_kwargs)}
+
+
 def changed_flags(args: Any, default: Any) -> dict[str, Any]:
     """The flags of a setting that differ from the default. Task, sharing and seed are named elsewhere.
 
     What is played stands first, then how, so that the names of directories do not depend on the order in Args.
     """
     named = OF_ONE_RUN | {"env", "parameter_sharing"}
-    ordered = sorted(vars(args).items(), key=lambda flag: flag[0] not in OF_THE_TASK)
+    ordered = sorted(named_flags(args).items(), key=lambda flag: flag[0] not in OF_THE_TASK)
     return {name: value for name, value in ordered if name not in named and value != getattr(default, name)}
 
 
