@@ -30,7 +30,12 @@ OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluation
 
 SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run loses
 
+PAUSES = (0.05, 0.15, 0.3, 0.5)  # seconds between the tries to put a file in the place of one that is open elsewhere
+
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
+
+
+MAPPED: dict[Path, Any] = {}  # the memory-mapped file of a replay, an `EpisodeFile`, by path
 
 
 @contextlib.contextmanager
@@ -44,6 +49,20 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+def put(new: Path, path: Path) -> None:
+    """Puts a file in the place of another one.
+
+    On Windows this is refused while another program has the other one open, such as a virus scanner for a moment. So it
+    is tried for about a second. Raises PermissionError after that.
+    """
+    for pause in PAUSES:
+        with contextlib.suppress(PermissionError):
+            new.replace(path)
+            return
+        time.sleep(pause)
+    new.replace(path)
+
+
 def write_whole(path: Path, text: str) -> None:
     """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
 
@@ -55,7 +74,7 @@ def write_whole(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        new.replace(path)
+        put(new, path)
     except OSError:
         new.unlink(missing_ok=True)
         raise
@@ -248,8 +267,8 @@ class RunDirectory:
             file.flush()
             os.fsync(file.fileno())  # it takes the place of a good one
         if last.exists():
-            last.replace(previous)
-        new.replace(last)
+            put(last, previous)
+        put(new, last)
         self._write_tables(saved)
         self._saved_at = time.monotonic()
 
@@ -267,13 +286,21 @@ class RunDirectory:
         texts = {"evaluations.csv": table.getvalue(), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
         for name, text in texts.items():
             path = self.path / name
-            if not path.exists() or path.read_bytes() != text.encode():
-                write_whole(path, text)
+            try:
+                if not path.exists() or path.read_bytes() != text.encode():
+                    write_whole(path, text)
+            except PermissionError:  # on Windows, where a spreadsheet has it open
+                say(f"{path} is open in another program and stays as it is; it is written at the next save.")
 
     def complete(self) -> None:
         """Deletes what only a running run needs, and says how to watch what has been learnt."""
+        if file := MAPPED.pop(self.path / "replay.bin", None):
+            file.close()  # Windows deletes no file that is in use
         for name in ("progress.json", "replay.bin"):
-            (self.path / name).unlink(missing_ok=True)
+            try:
+                (self.path / name).unlink(missing_ok=True)
+            except PermissionError as error:
+                say(f"{self.path / name} is no longer needed, but cannot be deleted: {error.strerror}.")
         script = Path(self.script).resolve()
         with contextlib.suppress(ValueError):  # it lies elsewhere
             script = script.relative_to(Path.cwd())
