@@ -746,6 +746,19 @@ def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: A
     assert code == 2 and "--env-workers" in said
 
 
+@pytest.mark.parametrize("name", ["qmix", "ippo"])
+def test_episodes_larger_than_the_memory(
+    monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path, name: str
+) -> None:
+    """They are refused before anything is stored."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "toy_long.py").write_text("from toys import Painted as parallel_env\n")
+    flags = ["--env", "pettingzoo:toy_long", "--env-kwargs", "kind='table'", "--max-episode-steps", 10**9]
+    code, said = main(monkeypatch, capsys, name, *flags)
+    assert code == 2 and "more than the free memory" in said and "--max-episode-steps makes" in said
+    assert len(said.strip().splitlines()) == 1 and not (tmp_path / "runs").exists()
+
+
 def test_the_table_of_tasks() -> None:
     done = subprocess.run([sys.executable, "-m", "envs", SPREAD], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0 and SPREAD in done.stdout

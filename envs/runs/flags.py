@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
+import psutil
 import tyro
 
 import envs
@@ -194,13 +195,31 @@ def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) ->
     return env
 
 
+def check_room(env: envs.VectorEnv) -> None:
+    """Raises InputError where an episode of each sub-environment, which a script stores, does not fit into memory."""
+    numbers = env.n_agents * env.obs_size + (0 if env.state_is_observations else env.state_size)
+    step = 4 * numbers + env.n_agents * (env.n_actions + 12)  # bytes; 12 for an action and a reward
+    room, free = (env.episode_limit + 1) * env.num_envs * step, psutil.virtual_memory().available
+    if room > free:
+        raise InputError(
+            f"{env.name}: episodes of {env.episode_limit:,} steps in {env.num_envs:,} sub-environments take "
+            f"{room / 2**20:,.0f} MiB, more than the free memory ({free / 2**20:,.0f}); `max_episode_steps` makes "
+            "episodes of environments that are not ours shorter."
+        )
+
+
 def check_teams(env: envs.VectorEnv, individual_rewards: bool, parameter_sharing: bool) -> None:
-    """Raises InputError where opposing teams would learn from one reward, or with one network."""
+    """Raises InputError where opposing teams would learn from one reward, or with one network, and as `check_room`."""
+    check_room(env)
     if len(set(env.teams)) > 1 and not (individual_rewards and not parameter_sharing):
         raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
 
 
 def check_one_team(env: envs.VectorEnv, reason: str) -> None:
-    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams."""
+    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams.
+
+    And as `check_room`.
+    """
+    check_room(env)
     if len(set(env.teams)) > 1:
         raise InputError(f"{env.name} has opposing teams: {reason}.")
