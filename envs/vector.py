@@ -459,6 +459,14 @@ class EpisodeTotals:
             self.statistics.setdefault(name, np.full(len(self.ended), np.nan))[ends_now] = values[ends_now]
         self.ended |= ends_now
 
+    def episodes(self) -> list[dict[str, float]]:
+        """What `means` is the mean of, episode by episode: number, return, length, returns of other teams, statistics."""
+        columns = {"episode": np.arange(len(self.ended)), "return": self.returns, "episode_length": self.lengths}
+        for team in sorted(set(self.teams.tolist()) - {0}):
+            columns[f"team_{team}_return"] = self.agent_returns[:, self.teams == team].mean(axis=1)
+        columns |= self.statistics
+        return [dict(zip(columns, values)) for values in zip(*(column.tolist() for column in columns.values()))]
+
     def means(self) -> dict[str, float]:
         """Means over the episodes: return_mean, return_std and episode_length, what the family reports, and the mean
         returns of the members of other teams than team 0, whose return is the first. A statistic that is not a number

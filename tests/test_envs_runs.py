@@ -200,6 +200,30 @@ class TestDirectory:
         assert len((tmp_path / "run" / "evaluations.csv").read_text().splitlines()) == 3
         assert not capsys.readouterr().err
 
+    def test_single_episodes(self, tmp_path: Path) -> None:
+        """A row for each, whose means are those of the evaluation; a run's directory may hold the table."""
+        env = envs.make("mpe-adversary-selfplay", 3)
+        env.reset(seed=1)
+        totals = envs.EpisodeTotals(env)
+        while not totals.ended.all():
+            _, rewards, terminated, truncated, info = env.step(np.ones((3, 3), np.int64))
+            totals.add(rewards, terminated, truncated, info)
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, self.rows)
+        runs.write_episodes(tmp_path / "run", totals)
+        directory._lock.lock.release()
+        open_directory(tmp_path / "run", resume=True)
+        with open(tmp_path / "run" / "episodes.csv") as file:
+            rows = list(csv.DictReader(file))
+        assert [row["episode"] for row in rows] == ["0", "1", "2"] and rows[0]["episode_length"] == "25.0"
+        means = totals.means()
+        for column, name in (
+            ("return", "return_mean"),
+            ("team_1_return", "team_1_return_mean"),
+            *[["goal_distance"] * 2],
+        ):
+            assert np.mean([float(row[column]) for row in rows]) == pytest.approx(means[name])
+
     def test_the_one_before_is_kept(self, tmp_path: Path) -> None:
         directory = open_directory(tmp_path / "run")
         for timestep in (1, 2, 3):

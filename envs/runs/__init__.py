@@ -20,6 +20,7 @@ from envs.runs.directory import (
     read_checkpoint,
     run_path,
     safe_name,
+    write_episodes,
     write_whole,
 )
 from envs.runs.flags import (

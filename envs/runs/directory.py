@@ -23,10 +23,19 @@ import filelock
 
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
 from envs.runs.process import Stopwatch, provenance, say, script_hash
-from envs.vector import InputError
+from envs.vector import EpisodeTotals, InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
-OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
+OTHER_FILES = (
+    "lock",
+    "replay.bin",
+    "progress.json",
+    "config.json",
+    "evaluations.csv",
+    "episodes.csv",
+    "film.gif",
+    "wandb-id",
+)
 
 SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run loses
 
@@ -78,6 +87,22 @@ def write_whole(path: Path, text: str) -> None:
     except OSError:
         new.unlink(missing_ok=True)
         raise
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table as text, with the columns of all rows in the order in which they come up; a later row may have more."""
+    table = io.StringIO()
+    writer = csv.DictWriter(
+        table, list(dict.fromkeys(name for row in rows for name in row)), restval="", lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(rows)
+    return table.getvalue()
+
+
+def write_episodes(directory: str | os.PathLike[str], totals: EpisodeTotals) -> None:
+    """Writes episodes.csv, a row for each episode of an evaluation, into a run's directory."""
+    write_whole(Path(directory, "episodes.csv"), as_csv(totals.episodes()))
 
 
 def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:
@@ -278,12 +303,7 @@ class RunDirectory:
         return time.monotonic() - self._saved_at > SAVE_SECONDS
 
     def _write_tables(self, saved: Mapping[str, Any]) -> None:
-        table = io.StringIO()
-        columns = list(dict.fromkeys(name for row in saved["rows"] for name in row))  # a later row may have more
-        writer = csv.DictWriter(table, columns, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(saved["rows"])
-        texts = {"evaluations.csv": table.getvalue(), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
+        texts = {"evaluations.csv": as_csv(saved["rows"]), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
         for name, text in texts.items():
             path = self.path / name
             try:
