@@ -460,7 +460,7 @@ class EpisodeTotals:
         self.ended |= ends_now
 
     def episodes(self) -> list[dict[str, float]]:
-        """What `means` is the mean of, episode by episode: number, return, length, returns of other teams, statistics."""
+        """What `means` averages, for each episode: return, length, mean returns of other teams, statistics."""
         columns = {"episode": np.arange(len(self.ended)), "return": self.returns, "episode_length": self.lengths}
         for team in sorted(set(self.teams.tolist()) - {0}):
             columns[f"team_{team}_return"] = self.agent_returns[:, self.teams == team].mean(axis=1)

@@ -117,8 +117,10 @@ class Game:
         self.choices = tuple(int(space.n) for space in action_spaces)
         self.first_actions = [int(space.start) for space in action_spaces]
         self.spaces_seen = [self.space_seen(space) for space in observation_spaces]
-        flat: list[Any] = [spaces.flatten_space(space) for space in self.spaces_seen]
-        if not all(isinstance(space, spaces.Box) for space in flat):
+        flat: list[Any] = []
+        with contextlib.suppress(NotImplementedError):  # such as a space of texts of the package's own
+            flat = [spaces.flatten_space(space) for space in self.spaces_seen]
+        if not flat or not all(isinstance(space, spaces.Box) for space in flat):
             raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
         self.obs_size = max(int(space.shape[0]) for space in flat)
         self.scales = [scale(space) for space in self.spaces_seen]
