@@ -260,8 +260,8 @@ class EpsilonGreedyTeam:
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
-        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"])  # [env, agent, action]
+        inputs = torch.from_numpy(observations)[None].float().to(self.args.device)  # one time step
+        masks = torch.from_numpy(info["action_mask"]).bool()  # [env, agent, action]
         q_values, self.hidden = self.agents(inputs, self.hidden)
         explores = torch.rand(masks.shape[:-1], generator=self.rng).unsqueeze(-1) < self.epsilon
         random_scores = torch.rand(masks.shape, generator=self.rng)  # the highest: any action
