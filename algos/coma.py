@@ -268,9 +268,9 @@ class SamplingTeam:
         self.args, self.agents, self.rng, self.greedy = args, agents, rng, greedy
         self.reset()
 
-    def reset(self) -> None:
-        """Forgets the last episode. To be called before each new one."""
-        self.hidden: list | None = None
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forgets the last episode. To be called before each new one. mask, [env]: only there."""
+        self.hidden: list | None = None if mask is None else runs.forgotten(self.hidden, mask)
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:

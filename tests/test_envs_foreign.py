@@ -739,6 +739,48 @@ def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any
     assert code == 2 and "was begun with --env-kwargs N=2, max_cycles=5" in said
 
 
+def untrained_team(name: str, env: envs.VectorEnv, sharing: bool = True) -> Any:
+    """A team of a script with a GRU, as in its first step."""
+    module = script(name)
+    args = module.Args(network="gru", hidden_dim=8, parameter_sharing=sharing)
+    torch.manual_seed(0)
+    agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, "gru")
+    return module.Team(args, agents, torch.Generator().manual_seed(1))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_team_takes_what_environments_give(name: str) -> None:
+    """Masks of PettingZoo are int8, and many observations float64."""
+    env = envs.make("smaclite-3m", 4)
+    observations, info = env.reset()
+    actions = untrained_team(name, env).act(observations, info)
+    others = untrained_team(name, env).act(
+        observations.astype(np.float64), {"action_mask": info["action_mask"].astype(np.int8)}
+    )
+    np.testing.assert_array_equal(actions, others)
+
+
+@pytest.mark.parametrize("sharing", [True, False])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_team_forgets_some_episodes(name: str, sharing: bool) -> None:
+    """Those of a mask, in environments that reset by themselves."""
+    env = envs.make("lbf-8x8-2p-2f", 3)
+    observations, info = env.reset()
+    team, fresh = untrained_team(name, env, sharing), untrained_team(name, env, sharing)
+    team.reset(np.array([True, False, True]))  # there is nothing to forget yet
+    for _ in range(3):
+        team.act(observations, info)
+    before = [state.unflatten(1, (3, -1)) for state in team.hidden]
+    team.reset(np.array([False, True, False]))
+    after = [state.unflatten(1, (3, -1)) for state in team.hidden]
+    for old, new in zip(before, after):
+        assert torch.equal(old[:, [0, 2]], new[:, [0, 2]]) and not new[:, 1].any() and old[:, 1].any()
+    team.act(observations, info)
+    fresh.act(observations, info)
+    for mine, first in zip(team.hidden, fresh.hidden):
+        torch.testing.assert_close(mine.unflatten(1, (3, -1))[:, 1], first.unflatten(1, (3, -1))[:, 1])
+
+
 def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     code, said = main(monkeypatch, capsys, "qmix", "--env", "pettingzoo:toy_turns")
     assert code == 2 and "act in turn" in said and len(said.strip().splitlines()) == 1

@@ -34,6 +34,7 @@ from envs.runs.flags import (
     parse_flags,
 )
 from envs.runs.log import Log, in_words
+from envs.runs.memory import forgotten
 from envs.runs.process import (
     StopSignals,
     Stopwatch,
