@@ -551,6 +551,21 @@ def test_images_of_bytes_become_fractions() -> None:
     assert [float(space.high.max()) for space in spaces.values()] == [1, 1, 1, 1, 1000]  # type: ignore[attr-defined]
 
 
+def test_the_wrapper_that_divides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the how-to shows it."""
+    page = (ROOT / "docs" / "how-to" / "use-pettingzoo-or-gymnasium.md").read_text(encoding="utf-8")
+    block = re.search(r"```python\n(.*?)```", page, re.S)
+    assert block
+    (tmp_path / "a_divided_game.py").write_text(block[1])
+    monkeypatch.chdir(tmp_path)
+    options: Any = {"flatten_images": True, "env_kwargs": "max_cycles=5"}
+    divided, plain = (envs.make(name, seed=1, **options) for name in ("pettingzoo:a_divided_game", PURSUIT))
+    np.testing.assert_allclose(divided.reset()[0], plain.reset()[0] / 30, rtol=1e-6)
+    step = [[1] * 8]
+    np.testing.assert_allclose(divided.step(step)[0], plain.step(step)[0] / 30, rtol=1e-6)
+    assert divided.episode_limit == plain.episode_limit == 5
+
+
 @pytest.mark.slow
 def test_a_team_learns_from_images_of_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """In an episode of 20 steps, guessing earns 10 and the best team 20."""
