@@ -154,6 +154,16 @@ def test_copies_without_a_seed_play_different_episodes(name: str) -> None:
     assert len(starts) == 100
 
 
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_of_one_that_was_not_seeded_differ(duplicate: Callable[[Any], Any]) -> None:
+    """SuperSuit, and with it SB3, makes its copies like this, before the first reset."""
+    env = envs.pettingzoo_env("lbf-8x8-2p-2f-c")
+    starts = {each.reset()[0]["agent_0"].tobytes() for each in (env, *(duplicate(env) for _ in range(9)))}
+    assert len(starts) == 10
+    first = [duplicate(envs.pettingzoo_env(LBF, seed=4)).reset()[0]["agent_0"].tolist() for _ in range(2)]
+    assert first[0] == first[1]
+
+
 def test_seeds() -> None:
     starts = [envs.pettingzoo_env(LBF, seed=seed).reset()[0]["agent_0"].tolist() for seed in (3, 3, 4)]
     assert starts[0] == starts[1] != starts[2]

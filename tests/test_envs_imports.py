@@ -61,6 +61,16 @@ def test_the_contract_needs_nothing_but_numpy_and_gymnasium() -> None:
     assert packages - sys.stdlib_module_names == {"numpy", "gymnasium"}
 
 
+def test_what_is_really_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Where an optional package is there, but one that it needs is not."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "a_package.py").write_text("import what_it_needs.inside\n")
+    with pytest.raises(envs.InputError, match=r"^a_package needs what_it_needs, which is not installed"):
+        envs.optional("a_package")
+    with pytest.raises(envs.InputError, match=r"^another_package is not installed; pip install -e '\.\[an_extra\]'"):
+        envs.optional("another_package", "an_extra")
+
+
 def test_importing_envs_is_light() -> None:
     """What only a run, a picture or a compiled rule needs is imported where it is used."""
     heavy = "numba PIL matplotlib torch tyro filelock psutil tqdm pettingzoo pandas".split()

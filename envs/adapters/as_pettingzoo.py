@@ -21,8 +21,9 @@ such as a dead unit, observes zeros, and its mask allows action 0 only.
 Agents are called agent_0, agent_1, ... where they are equal. Otherwise their names tell the kind, speaker_0 and
 listener_0, or the side, as in mpe-tag-selfplay: adversary_0, adversary_1, adversary_2 and agent_0.
 
-Seeds are as Gymnasium has them. Without a seed, each copy draws one of its own, so that copies play different episodes;
-`reset()` goes on with the next episode, and reset(seed=...) begins the episodes of that seed.
+Seeds are as Gymnasium has them. Without a seed, the first `reset()` draws one that nobody has chosen, so that copies play
+different episodes, also those that a library makes by pickling an environment; later `reset()` go on with the next
+episode, and reset(seed=...) begins the episodes of that seed.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ class PettingZooEnv(ParallelEnv):
         env_kwargs: str | Mapping[str, Any] = "",
     ) -> None:
         """See `envs.pettingzoo_env`."""
-        seed = fresh_seed() if seed is None else seed
-        self.env = envs.make(name, seed=seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
+        self.unseeded = seed is None  # until the first reset, before which SuperSuit, for one, pickles copies
+        self.env = envs.make(name, seed=seed or 0, env_kwargs=env_kwargs, pictures=render_mode is not None)
         modes = rendering(self.env, render_mode, human=True)
         self.metadata = {"name": name, "is_parallelizable": True, **modes}
         self.window: Window | None = None
@@ -92,7 +93,10 @@ class PettingZooEnv(ParallelEnv):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Begin the next episode, or with a seed the first one of that seed. There are no options."""
+        if self.unseeded and seed is None:
+            seed = fresh_seed()
         if seed is not None:
+            self.unseeded = False
             self.np_random = np.random.default_rng(seed)
         observations, _ = self.env.reset(seed=seed)
         self.agents = self.possible_agents.copy()
