@@ -257,8 +257,8 @@ class Painted(ParallelEnv):
     def seen(self) -> dict[str, Any]:
         self.bright = self.rng.random(2) < 0.5
         image = np.zeros((8, 8, 3), np.uint8)
-        image[:4] = 200 + 55 * self.bright[0]
-        image[4:] = 200 + 55 * self.bright[1]
+        image[:4] = 255 * self.bright[0]
+        image[4:] = 255 * self.bright[1]
         kinds = {
             "fractions": (image / 255).astype(np.float32),
             "binary": np.ones((8, 8), np.uint8),

@@ -21,9 +21,9 @@ such as a dead unit, observes zeros, and its mask allows action 0 only.
 Agents are called agent_0, agent_1, ... where they are equal. Otherwise their names tell the kind, speaker_0 and
 listener_0, or the side, as in mpe-tag-selfplay: adversary_0, adversary_1, adversary_2 and agent_0.
 
-Seeds are as Gymnasium has them. Without a seed, the first `reset()` draws one that nobody has chosen, so that copies play
-different episodes, also those that a library makes by pickling an environment; later `reset()` go on with the next
-episode, and reset(seed=...) begins the episodes of that seed.
+Seeds are as Gymnasium has them. Without a seed, the first `reset()` draws one that nobody has chosen, so that copies
+play different episodes, also those that a library makes by pickling an environment. A later `reset()` goes on with the
+next episode, and reset(seed=...) begins the episodes of that seed.
 """
 
 from __future__ import annotations
