@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 
 from envs import runs
 from envs.runs import one_sentence
-from reporting import aggregate, claims, plots, tables
+from reporting import aggregate, agreement, claims, plots, tables
 from reporting.results import (
     FAMILIES,
     HERE,
@@ -47,13 +47,11 @@ from reporting.results import (
     paper_cells,
     speeds,
 )
-from reporting.results import family as family_of
 from reporting.search import search_report
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
 FILE = {True: "shared", False: "independent"}
-AGREEING = {"average_return": "average returns", "max_return": "maximum returns"}  # what is counted
 
 
 class Report:
@@ -62,9 +60,11 @@ class Report:
     def __init__(self, results: Path):
         self.evaluations = load(results)
         self.shown = in_tables(self.evaluations)
+        self.against_own = in_tables(self.evaluations, own_opponent=True)
         self.ours, self.paper = our_cells(self.evaluations), paper_cells()
         self.both = tables.compare(self.ours, self.paper)
         self.compared = self.both[self.both["difference"].notna()]  # with the paper's
+        self.counted = agreement.counted(self.compared)
         self.normalised = aggregate.normalise(self.evaluations)
         self.hours = aggregate.cpu_hours(self.evaluations)
         self.speeds = speeds(results)
@@ -91,35 +91,49 @@ class Report:
 
     def agreement(self) -> str:
         """How many of our values agree with the paper's."""
-        if self.compared.empty:
+        if self.counted.empty:
             return "None of our values is of one of the paper's tasks with its budget and flags."
-        sentences = []
-        for metric, name in AGREEING.items():
-            differences = self.compared.loc[self.compared["metric"] == metric, "difference"]
-            sentences.append(f"{(differences.abs() <= 1).sum()} of {len(differences)} {name}")
+        games = self.counted["family"] == "matrix"
+        unexplained = self.counted[~games & (self.counted["cause"] == "")]
+        of = [
+            f"{agreement.numbers(unexplained.loc[unexplained['metric'] == metric, 'agrees'])} {name}"
+            for metric, name in agreement.METRICS.items()
+        ]
+        single = (unexplained["seeds"] == 1).mean()
         return (
-            f"Of our values with the paper's budget, with and without sharing, {' and '.join(sentences)} are no "
-            "further from the paper's than both intervals together."
+            f"Outside the matrix games, and without {' and '.join(agreement.KNOWN_CAUSES)}, whose difference has a "
+            f"known cause, {' and '.join(of)} agree with the paper's: they lie within the 95 % prediction interval of "
+            f"the difference, outside which chance puts one in twenty. {100 * single:.0f} % of them are of one seed."
         )
 
     def agreement_table(self) -> str:
-        """How many of our values agree with the paper's, by family and sharing."""
-        families = self.compared["task"].map(family_of)
-        body = []
-        for name, title in FAMILIES.items():
-            for sharing, words in plots.SHARING.items():
-                cells = self.compared[(families == name) & (self.compared["sharing"] == sharing)]
-                distances = [cells.loc[cells["metric"] == metric, "difference"].abs() for metric in AGREEING]
-                if len(cells):
-                    body.append([f"{title}, {words}", *(f"{(each <= 1).sum()} of {len(each)}" for each in distances)])
-        return tables.to_markdown(["", *AGREEING.values()], body)
+        """How many of our values agree with the paper's, by family and sharing, and by the number of seeds."""
+        if self.counted.empty:
+            return ""
+        corrected = agreement.without_bias(self.counted, self.shown)
+        averages, maxima = agreement.METRICS.values()
+        families = agreement.by_family(self.counted, corrected, plots.SHARING)
+        header = ["", averages, "placebo", maxima, "placebo", f"{maxima}, corrected"]
+        parts = [tables.to_markdown(header, families)]
+        alarms = ["false alarms", "false alarms where the paper prints ± 0.02"]
+        if seeds := agreement.by_seeds(self.counted, corrected):
+            parts += [tables.to_markdown(["our seeds", *alarms, averages, maxima, f"{maxima}, corrected"], seeds)]
+        single = corrected[(corrected["seeds"] == 1) & (corrected["paper_interval"] > 0)]
+        trivial = self.compared["metric"].isin(agreement.METRICS) & agreement.is_trivial(self.compared)
+        words = [AGREEMENT_WORDS, f"Left out are {trivial.sum()} cells in which both intervals are printed as 0.00."]
+        if len(single):
+            surplus = (single["bias"] / single["paper_interval"]).groupby(single["family"]).median()
+            middle = ", ".join(f"{surplus[name]:.1f} in {FAMILIES[name]}" for name in FAMILIES if name in surplus)
+            words.append(f"{MAXIMA_WORDS} Its median, in units of the paper's interval: {middle}.")
+        return "\n\n".join([*parts, *map(fill, words)])
 
     def differences(self) -> str:
-        """The cells that are further from the paper's than both intervals together."""
+        """The cells that are outside the 95 % prediction interval, with the cause, where it is known."""
         cells = self.compared[self.compared["difference"].abs() > 1]
         cells = cells[cells["metric"].isin(["average_return", "max_return", "max_win_rate"])]
         cells = cells.reindex(cells["difference"].abs().sort_values(ascending=False, kind="stable").index)
-        header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference"]
+        cells = cells.assign(cause=agreement.known_cause(cells))
+        header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference", "known cause"]
         body = [
             [
                 tables.TITLES[cell.metric],
@@ -130,6 +144,7 @@ class Report:
                 tables.number(cell.value, cell.interval),
                 tables.number(cell.paper_mean, cell.paper_interval),
                 f"{cell.difference:+.1f}",
+                cell.cause,
             ]
             for cell in cells.rename(columns={"mean": "value"}).itertuples()
         ]
@@ -200,21 +215,25 @@ class Report:
             body.append([task, *("-" if np.isnan(value) else f"{value:,.0f}" for value in values)])
         return tables.to_markdown(["task", *columns], body)
 
+    def verdicts(self) -> list[tuple[claims.Claim, claims.Verdict, claims.Verdict]]:
+        """The paper's claims, judged by its own tables and by our results."""
+        hours = aggregate.hours_of_cells(self.shown)
+        return [*zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours, hours))]
+
     def claims_table(self) -> tuple[str, str]:
-        """The paper's claims that our results say something of, judged by its own tables and by them; and a sentence
-        with the number of each verdict."""
-        verdicts = claims.judge(self.ours)
+        """The claims that our results say something of; and a sentence with the number of each verdict."""
+        verdicts = self.verdicts()
         body = [
-            [place, sentence, paper.verdict, ours.verdict, ours.figures]
-            for (place, sentence, _), paper, ours in zip(claims.CLAIMS, claims.judge(self.paper), verdicts)
+            [claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on]
+            for claim, paper, ours in verdicts
             if ours.figures
         ]
-        header = ["section", "claim", "by the paper's tables", "by our results", "our figures"]
-        number = Counter(each.verdict for each in verdicts)
+        header = ["section", "claim", "by the paper's tables", "by our results", "our figures", "rests on"]
+        number = Counter(ours.verdict for _, _, ours in verdicts)
         counts = (
             f"Of the {len(verdicts)} claims {number[claims.HOLDS]} hold by our results, {number[claims.FAILS]} do not, "
-            f"and {number[claims.UNKNOWN]} are not decided yet; {len(verdicts) - len(body)} of these have no figure at "
-            "all."
+            f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured; "
+            f"{len(verdicts) - len(body)} of these have no figure at all."
         )
         return tables.to_markdown(header, body) if body else "", counts
 
@@ -232,8 +251,15 @@ class Report:
                 if table := tables.markdown(self.both, metric, sharing):
                     parts += [f"### {title}, {words}", table]
         if len(self.compared):
-            parts += ["### Where we are further from the paper than both intervals together", self.differences()]
-        if table := tables.variants(self.evaluations, self.ours):
+            parts += ["### Where we do not agree with the paper", self.differences()]
+        if len(self.against_own):
+            own = tables.compare(our_cells(self.evaluations, own_opponent=True), self.paper)
+            parts += ["## Against our own opponents", OWN_OPPONENTS]
+            for metric, title in tables.TITLES.items():
+                for sharing, words in plots.SHARING.items():
+                    if table := tables.markdown(own, metric, sharing):
+                        parts += [f"### {title} against our own opponents, {words}", table]
+        if table := tables.variants(self.evaluations, pd.concat([self.shown, self.against_own])):
             parts += ["### Other flags and budgets", table]
         if figures := self.figures():
             parts += ["## Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
@@ -257,15 +283,36 @@ class Report:
     def short(self) -> str:
         """What stands in the repository's README.md."""
         parts = [
-            "Maximum returns with parameter sharing and the paper's budgets on one task of each family, the paper's in "
-            "brackets (a small number: so many seeds instead of five; °: the maximum lies before training):",
+            "Average returns over training with parameter sharing and the paper's budgets on one task of each family, "
+            "the paper's in brackets (a small number: so many seeds instead of five):",
             tables.short(self.both),
-            f"{self.agreement()} [All tables](benchmark/RESULTS.md) have intervals, average returns, learning curves, "
+            f"{self.agreement()} [All tables](benchmark/RESULTS.md) have intervals, maximum returns, learning curves, "
             "CPU hours and the paper's claims one by one.",
         ]
         if "normalised-shared" in self.figures():
             parts.append("![Normalised returns over training](benchmark/figures/normalised-shared.png)")
         return paragraphs(parts)
+
+
+AGREEMENT_WORDS = """\
+The test: for one seed of ours the interval has the spread of the paper's five, for several the spread of ours and
+theirs together, and Student's t with 4, or 3 more than our seeds, degrees of freedom. False alarms: how many runs that
+are as the paper's it would reject, by simulation. An interval printed as 0.00 counts as 0.005. Placebo: how many values
+of another of our algorithms on the same task would agree with the paper's; where it is high, the test sees little.
+By the number of seeds, the matrix games are left out. There the off-policy cells have, by the same seeds of PyTorch,
+the very networks that the paper's runs began with, and often its values to the last digit: they are no independent
+replication."""
+
+
+MAXIMA_WORDS = """\
+The maximum of a single seed is the best of 41 points, and picks more of their noise than the maximum of a mean of five
+seeds. The last column is without this surplus, as `benchmark/reporting/agreement.py` estimates it."""
+
+
+OWN_OPPONENTS = """\
+In Adversary and Tag the paper's teams played against trained networks of its own. The tables above are of runs against
+those, and these of runs against the networks of this repository: another game, which nothing of the paper compares
+with. They are in no count."""
 
 
 OVER_ALL = """\
@@ -277,17 +324,22 @@ were run on different tasks do not compare in the first table."""
 
 
 CLAIMS_WORDS = """\
-Of the paper's sections 5 and 6, by maximum returns with sharing unless a sentence says otherwise. The head of
-`benchmark/reporting/claims.py` says what "significantly", "similar", "competitive" and "majority" mean here. By these
-meanings some of the sentences do not hold in the paper's own tables."""
+A selection of what the paper's sections 5 and 6 say, by maximum returns with sharing unless a sentence says otherwise;
+in brackets how a sentence is read here. The head of `benchmark/reporting/claims.py` says what the words mean, and
+`benchmark/paper/claims.csv` what must hold. By these meanings some of the sentences do not hold in the paper's own
+tables. Too close to call: the cells with fewer than five seeds were completed to five 400 times, with the spread of the
+paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
+cells a verdict rests, and what one seed more of each would cost."""
 
 
 def paragraphs(parts: list[str]) -> str:
     """Markdown of these parts; what is not a table, a picture or a heading in lines of 120 characters."""
-    filled = [
-        part if part.startswith(("|", "!", "#")) else textwrap.fill(part, 120, break_on_hyphens=False) for part in parts
-    ]
-    return "\n\n".join(filled)
+    return "\n\n".join(part if part.startswith(("|", "!", "#")) else fill(part) for part in parts)
+
+
+def fill(text: str) -> str:
+    """A paragraph in lines of 120 characters."""
+    return textwrap.fill(text, 120, break_on_hyphens=False)
 
 
 def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> str:

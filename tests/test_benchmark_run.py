@@ -58,6 +58,7 @@ class Args:
     learning_rate: float = 0.5
     pace: float = 0.002  # seconds for a step
     trouble: str = ""  # what goes wrong
+    env_kwargs: str = ""
     parameter_sharing: bool = True
     device: str = "cpu"
     run_dir: str = ""

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from reporting.results import KEY, PAPER_SETTING, family, paper_cells, paper_task
+from reporting.results import KEY, PAPER_SETTING, family, has_paper_setting, paper_cells, paper_task
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)
@@ -27,7 +27,7 @@ def normalise(evaluations: pd.DataFrame) -> pd.DataFrame:
     task on which nothing ever changed is left out.
     """
     in_paper = evaluations["task"].map(paper_task).isin(paper_cells()["task"])
-    chosen = evaluations[in_paper & (evaluations["setting"] == PAPER_SETTING)]
+    chosen = evaluations[in_paper & has_paper_setting(evaluations)]
     returns = chosen.groupby("task")["return_mean"]
     low, high = returns.transform("min"), returns.transform("max")
     chosen = chosen.assign(normalised=(chosen["return_mean"] - low) / (high - low).where(high > low))
@@ -102,7 +102,15 @@ def sharing_means(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def cpu_hours(evaluations: pd.DataFrame) -> pd.DataFrame:
-    """CPU hours of the runs with the paper's setting and budget, by (family, algorithm, sharing): runs, total, mean."""
-    chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
+    """CPU hours of the runs with default flags, against either opponent, by (family, algorithm, sharing): runs, total,
+    mean."""
+    chosen = evaluations[(evaluations["setting"] == PAPER_SETTING) | has_paper_setting(evaluations)]
     runs = chosen.groupby(["family", *KEY, "seed"])["cpu_seconds"].max() / 3600
     return runs.groupby(["family", "algorithm", "sharing"]).agg(runs="count", total="sum", mean="mean")
+
+
+def hours_of_cells(evaluations: pd.DataFrame) -> dict[tuple[bool, str, str], float]:
+    """Mean CPU hours of a run by sharing, the paper's task and algorithm; evaluations of the tables."""
+    runs = evaluations.groupby(["sharing", "task", "algorithm", "seed"])["cpu_seconds"].max() / 3600
+    means = runs.groupby(["sharing", "task", "algorithm"]).mean()
+    return {(sharing, paper_task(task), algorithm): mean for (sharing, task, algorithm), mean in means.items()}

@@ -1,53 +1,112 @@
-"""What the paper's sections 5 and 6 claim, each as a small function of a set of results.
+"""What the paper's sections 5 and 6 claim, judged by a set of results: a selection of sentences, one a line of
+benchmark/paper/claims.csv.
 
-A claim looks at maximum returns with sharing unless it says otherwise. Where the paper's words leave it open, these are
-the words' meanings here:
+    place        the section
+    sentence     what the paper says; in brackets how it is read here
+    tasks        sets (`SETS`) and tasks; with a minus without them; "families ..." goes family by family
+    needed       on how many of them the expression must hold: all, majority (more than half), three quarters or a
+                 number; "code" where the last column names a function of this module
+    metric       what an algorithm's name stands for, such as max_return; with parameter sharing
+    expression   comparisons, arithmetic, and, or, not, if, and these names and functions (`Scope`)
 
-    significantly     two-sided Student t-test at 0.05, as the paper's asterisks
-    similar           not significantly different, or less than a tenth of the task's range apart
-    competitive       within 1 % of the best, or at least 0.8 on a scale from the task's worst to its best algorithm
-    majority, most    more than half of the tasks; vast majority, almost all: at least three quarters
-    no learning       less than a tenth of the best algorithm's return
+    iql, ia2c, ...                    the algorithm's value; in a family the mean of its scaled values
+    best                              the highest value of the nine
+    lbf, large_lbf, ...               whether the task, or the family, is in this set
+    scaled(a)                         the value on a scale from the task's worst to its best algorithm
+    lower(a)                          how many algorithms are below it
+    competitive(a)                    within 1 % of the best, or at least 0.8 on that scale, or not significantly
+                                      different from the best
+    competitive(a, b, ...)            the same among these algorithms only
+    similar(a, b)                     less than a tenth of the scale apart, or not significantly different
+    significantly_above(a, b, ...)    higher than each of the others, and significantly so
+    matches_best(a)                   the best, or not significantly different from it
+    competitive_tasks(a)              on how many tasks of the family it is competitive
+    improved                          how many algorithms are higher with parameter sharing than without
+    shared, alone                     the family's mean scaled value with and without sharing
 
-The same functions judge the paper's own tables, since not every sentence agrees with them.
+"Significantly" is a two-sided Student t-test at 0.05, as the paper's asterisks. It needs two seeds, and where it finds
+no difference, five: fewer could only mean that there are too few. A maximum that lies before training is the luck of
+random networks; the average over training takes its place.
+
+The verdict is holds, does not hold or not measured: decided as soon as what is missing cannot change it. Then each cell
+with fewer than five seeds is completed to five, `DRAWS` times: the mean of all seeds is drawn from what our seeds say
+of it, and the missing seeds around it, with the standard deviation that `agreement.spread` has. If more than one of
+twenty of these tables gives another verdict, it is too close to call.
+
+The same expressions judge the paper's own tables, since not every sentence agrees with them.
 """
 
+import ast
+import csv
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any
+import operator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
-from reporting.results import ALGORITHMS, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
+from reporting.agreement import spread
+from reporting.results import ALGORITHMS, PAPER, PAPER_FAMILIES, PAPER_SEEDS, family, paper_cells
 from reporting.tables import same_mean
 
-HOLDS, FAILS, UNKNOWN = "holds", "does not hold", "not measured yet"
-TASKS = tuple(dict.fromkeys(paper_cells()["task"]))
-MATRIX, MPE, SMAC, LBF, RWARE = (tuple(task for task in TASKS if family(task) == name) for name in PAPER_FAMILIES)
-HARD_SMAC = ("smac-corridor", "smac-MMM2")
-LARGE_LBF = ("lbf-15x15-3p-5f", "lbf-15x15-4p-3f", "lbf-15x15-4p-5f")
-SMALL_LBF = tuple(task for task in LBF if task not in LARGE_LBF)
-FULLY_OBSERVABLE = ("mpe-spread", "mpe-adversary", "mpe-tag", *(task for task in LBF if "2s" not in task))
-NOT_MATRIX = tuple(task for task in TASKS if task not in MATRIX)
-SPEAKER_LISTENER = "mpe-speaker-listener"
-INDEPENDENT = ("iql", "ia2c", "ippo")
-POLICY_GRADIENT = ("ia2c", "ippo", "maa2c", "mappo")
-FAMILIES_BUT_MATRIX = ("mpe", "smac", "rware", "lbf")
-MAJORITY, VAST_MAJORITY = 0.5, 0.75
+HOLDS, FAILS, CLOSE, UNKNOWN = "holds", "does not hold", "too close to call", "not measured"
+DRAWS = 400
+TURNED = 0.05  # in more than this share of the draws: too close to call
 MOST_SHOWN = 4
+
+TASKS = tuple(dict.fromkeys(paper_cells()["task"]))
+SETS = {"all": TASKS} | {name: tuple(task for task in TASKS if family(task) == name) for name in PAPER_FAMILIES}
+SETS["hard_smac"] = ("smac-corridor", "smac-MMM2")
+SETS["large_lbf"] = tuple(task for task in SETS["lbf"] if "15x15" in task)
+SETS["small_lbf"] = tuple(task for task in SETS["lbf"] if "15x15" not in task)
+SETS["fully_observable"] = (
+    *("mpe-spread", "mpe-adversary", "mpe-tag"),
+    *(task for task in SETS["lbf"] if "2s" not in task),
+)
+
+# The maxima of the paper's tables that lie before training. They are those of our runs, whose networks began alike.
+UNTRAINED = {("max_return", True, "matrix-climbing", name) for name in ("iql", "vdn", "qmix")} | {
+    ("max_return", False, f"matrix-penalty-{k}", name) for k in (25, 50, 75, 100) for name in ("vdn", "qmix")
+}
+
+Key = tuple[str, bool, str, str]  # metric, sharing, the paper's task, algorithm
 
 
 class NotMeasured(Exception):
     """A claim needs a result that is not there."""
 
 
+class Cell(NamedTuple):
+    """A value of a table, with its interval of 2 s / sqrt(n) and the number of seeds n."""
+
+    value: float
+    interval: float
+    seeds: int
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """holds, does not hold or not measured yet, and the figures behind it."""
+    """holds, does not hold, too close to call or not measured, and what is behind it.
+
+    outcomes: by task or family, whether the expression holds there; None where it is not measured.
+    rests_on: the cells that carry it, and what one seed more of each would cost; empty where all have five seeds.
+    stays: the share of the completed tables that give the same verdict.
+    """
 
     verdict: str
     figures: str
+    outcomes: dict[str, bool | None] = field(default_factory=dict)
+    rests_on: str = ""
+    stays: float = 1.0
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# What claims look at
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def one_game(cells: pd.DataFrame) -> pd.DataFrame:
@@ -60,242 +119,357 @@ def one_game(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 class View:
-    """Results as claims look at them; cells in the form of `results.our_cells` or `results.paper_cells`."""
+    """The cells of a set of results, as claims look at them."""
 
-    def __init__(self, cells: pd.DataFrame):
+    def __init__(self, cells: dict[Key, Cell]):
+        self.cells = cells
+        self.kept: dict[tuple[bool, str, str], dict[str, float]] = {}
+
+    @classmethod
+    def of(cls, cells: pd.DataFrame) -> "View":
+        """Cells in the form of `results.our_cells` or `results.paper_cells`."""
         if "paper_task" not in cells:
-            cells = cells.assign(paper_task=cells["task"], other_budget=False)
-        cells = cells[~cells["other_budget"]].rename(columns={"mean": "value"})
-        self.cells = {(c.metric, c.sharing, c.paper_task, c.algorithm): c for c in one_game(cells).itertuples()}
-        self.few_seeds = False
+            keys = pd.MultiIndex.from_frame(cells[["metric", "sharing", "task", "algorithm"]])
+            cells = cells.assign(paper_task=cells["task"], other_budget=False, at_start=keys.isin(UNTRAINED))
+        found = {}
+        untrained = []
+        for row in one_game(cells[~cells["other_budget"]]).rename(columns={"mean": "value"}).itertuples():
+            key = row.metric, row.sharing, row.paper_task, row.algorithm
+            found[key] = Cell(row.value, row.interval, row.seeds)
+            if row.at_start and row.metric == "max_return":
+                untrained.append(key)
+        for metric, *where in untrained:
+            found[metric, *where] = found["average_return", *where]
+        return cls(found)
 
-    def cell(self, algorithm: str, task: str, sharing: bool = True, metric: str = "max_return") -> Any:
-        """One cell, with value, interval and seeds. Raises NotMeasured."""
-        found = self.cells.get((metric, sharing, task, algorithm))
+    def cell(self, metric: str, sharing: bool, task: str, algorithm: str) -> Cell:
+        """One cell. Raises NotMeasured."""
+        try:
+            return self.cells[metric, sharing, task, algorithm]
+        except KeyError:
+            raise NotMeasured from None
+
+    def values(self, metric: str, sharing: bool, task: str) -> dict[str, float]:
+        """All nine algorithms' values. Raises NotMeasured."""
+        key = sharing, metric, task
+        if key not in self.kept:
+            self.kept[key] = {name: self.cell(metric, sharing, task, name).value for name in ALGORITHMS}
+        return self.kept[key]
+
+
+def position(value: float, values: Iterable[float]) -> float:
+    """A value on a scale from the lowest to the highest of these; 1 where all are equal."""
+    low, high = min(values), max(values)
+    return (value - low) / (high - low) if high > low else 1.0
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What the names and functions of an expression mean in one task, or in one family."""
+
+    view: View
+    place: str
+    metric: str
+
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks of a family."""
+        return SETS[self.place]
+
+    def at(self, task: str) -> "Scope":
+        """The scope of one of its tasks."""
+        return Scope(self.view, task, self.metric)
+
+    def cell(self, algorithm: str) -> Cell:
+        """An algorithm's cell."""
+        return self.view.cell(self.metric, True, self.place, algorithm)
+
+    def values(self) -> dict[str, float]:
+        """All nine algorithms' values."""
+        return self.view.values(self.metric, True, self.place)
+
+    def value(self, algorithm: str) -> float:
+        """An algorithm's value; in a family the mean of its scaled values."""
+        if self.place not in PAPER_FAMILIES:
+            return self.cell(algorithm).value
+        return float(np.mean([self.at(task).scaled(algorithm) for task in self.tasks()]))
+
+    def name(self, name: str) -> Any:
+        """What a name stands for."""
+        if name in ALGORITHMS:
+            return self.value(name)
+        if name in SETS:
+            return self.place == name or self.place in SETS[name]
+        return getattr(self, name)
+
+    # --- names and functions, as the head of this module defines them ---
+    @property
+    def best(self) -> float:
+        return max(self.values().values())
+
+    @property
+    def improved(self) -> int:
+        pairs = [
+            [self.view.cell(self.metric, sharing, self.place, name).value for sharing in (True, False)]
+            for name in ALGORITHMS
+        ]
+        return sum(with_sharing > without for with_sharing, without in pairs)
+
+    @property
+    def shared(self) -> float:
+        return means_with_and_without(self.view, self.tasks())[0]
+
+    @property
+    def alone(self) -> float:
+        return means_with_and_without(self.view, self.tasks())[1]
+
+    def scaled(self, algorithm: str) -> float:
+        return position(self.cell(algorithm).value, self.values().values())
+
+    def lower(self, algorithm: str) -> int:
+        own = self.cell(algorithm).value
+        return sum(value < own for value in self.values().values())
+
+    def competitive(self, algorithm: str, *others: str) -> bool:
+        own, values = self.cell(algorithm), self.values()
+        if others:
+            values = {name: value for name, value in values.items() if name in (algorithm, *others)}
+        highest = max(values, key=lambda name: values[name])
+        near = own.value >= values[highest] - 0.01 * abs(values[highest])
+        if near or position(own.value, values.values()) >= 0.8:
+            return True
+        return self.different(own, self.cell(highest)) is False
+
+    def similar(self, algorithm: str, other: str) -> bool:
+        if abs(self.scaled(algorithm) - self.scaled(other)) < 0.1:
+            return True
+        return not self.decided(self.cell(algorithm), self.cell(other))
+
+    def significantly_above(self, algorithm: str, *others: str) -> bool:
+        own = self.cell(algorithm)
+        return all(own.value > self.cell(other).value and self.decided(own, self.cell(other)) for other in others)
+
+    def matches_best(self, algorithm: str) -> bool:
+        own, values = self.cell(algorithm), self.values()
+        highest = max(values, key=lambda name: values[name])
+        return own.value == values[highest] or not self.decided(own, self.cell(highest))
+
+    def competitive_tasks(self, algorithm: str) -> int:
+        return sum(self.at(task).competitive(algorithm) for task in self.tasks())
+
+    def different(self, one: Cell, two: Cell) -> bool | None:
+        """Whether two cells are significantly different; None where their seeds are too few to say."""
+        fewest = min(one.seeds, two.seeds)
+        if fewest < 2:
+            return None
+        if not same_mean(*one, *two):
+            return True
+        return False if fewest >= PAPER_SEEDS else None
+
+    def decided(self, one: Cell, two: Cell) -> bool:
+        """The same. Raises NotMeasured where the seeds are too few."""
+        found = self.different(one, two)
         if found is None:
             raise NotMeasured
-        self.few_seeds |= found.seeds < PAPER_SEEDS
         return found
 
-    def value(self, algorithm: str, task: str, sharing: bool = True, metric: str = "max_return") -> float:
-        """A cell's mean. Raises NotMeasured."""
-        return self.cell(algorithm, task, sharing, metric).value
 
-    def values(self, task: str) -> dict[str, float]:
-        """All nine algorithms' values. Raises NotMeasured."""
-        return {algorithm: self.value(algorithm, task) for algorithm in ALGORITHMS}
+# ---------------------------------------------------------------------------------------------------------------------
+# Expressions
+# ---------------------------------------------------------------------------------------------------------------------
 
-    def same(self, algorithm: str, other: str, task: str) -> bool:
-        """Whether two algorithms are not significantly different. Raises NotMeasured, also for single seeds."""
-        one, two = self.cell(algorithm, task), self.cell(other, task)
-        if min(one.seeds, two.seeds) < 2:
-            raise NotMeasured
-        return same_mean(one.value, one.interval, one.seeds, two.value, two.interval, two.seeds)
-
-    def normalised(self, algorithm: str, task: str, metric: str = "max_return") -> float:
-        """A value on a scale from the worst to the best algorithm of the task; 1 where all are equal."""
-        values = [self.value(name, task, metric=metric) for name in ALGORITHMS]
-        low, high = min(values), max(values)
-        return (self.value(algorithm, task, metric=metric) - low) / (high - low) if high > low else 1.0
-
-    def competitive(self, algorithm: str, task: str) -> bool:
-        """As the module's docstring defines it."""
-        best = max(self.values(task).values())
-        nearly_best = self.value(algorithm, task) >= best - 0.01 * abs(best)
-        return nearly_best or self.normalised(algorithm, task) >= 0.8
-
-    def similar(self, algorithm: str, other: str, task: str) -> bool:
-        """As the module's docstring defines it."""
-        apart = self.normalised(algorithm, task) - self.normalised(other, task)
-        return abs(apart) < 0.1 or self.same(algorithm, other, task)
-
-    def beats(self, algorithm: str, other: str, task: str) -> bool:
-        """Whether it is higher, and significantly so."""
-        return self.value(algorithm, task) > self.value(other, task) and not self.same(algorithm, other, task)
+NAMES = ("best", "improved", "shared", "alone")
+OF_NUMBERS: dict[str, Callable[..., Any]] = {"max": max, "min": min, "abs": abs}
+OF_ALGORITHMS = {
+    *("scaled", "lower", "competitive", "similar", "significantly_above", "matches_best", "competitive_tasks")
+}
+BOTH_SHARINGS = {"improved", "shared", "alone"}
+OF_ALL_NINE = {*NAMES, *OF_ALGORITHMS} - {"significantly_above"}
+OPERATORS: dict[type, Callable[..., Any]] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge},
+    **{ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Not: operator.not_, ast.USub: operator.neg},
+}
+Evaluates = Callable[[Scope], Any]
 
 
-Test = Callable[[View, str], tuple[bool, str]]  # whether a claim holds on a task, or in a family, and the figures
+def parse(expression: str) -> tuple[ast.expr, Evaluates]:
+    """An expression, and what evaluates it in a scope. Raises ValueError for anything that the module's docstring does
+    not list: nothing else of Python is ever run."""
+    try:
+        tree = ast.parse(expression, mode="eval").body
+    except SyntaxError as error:
+        raise ValueError(f"{expression!r} is no expression: {error.msg}") from error
+    return tree, evaluates(tree)
 
 
-def among(view: View, tasks: Iterable[str], test: Test, needed: float = 1.0, unit: str = "tasks") -> Verdict:
-    """Whether the test holds on enough of the tasks: all of them, or at least the needed share; MAJORITY is more than
-    half. It is decided as soon as the tasks that are not measured cannot change it."""
-    tasks = list(tasks)
-    enough = len(tasks) // 2 + 1 if needed == MAJORITY else math.ceil(needed * len(tasks))
-    found: dict[bool, list[str]] = {True: [], False: []}
-    missing = 0
-    for task in tasks:
-        try:
-            holds, figures = test(view, task)
-        except NotMeasured:
-            missing += 1
+def evaluates(node: ast.expr) -> Evaluates:
+    """What evaluates one part of an expression."""
+    match node:
+        case ast.Constant(value=int() | float() as number):
+            return lambda scope: number
+        case ast.Name(id=name) if name in (*ALGORITHMS, *SETS, *NAMES):
+            return lambda scope: scope.name(name)
+        case ast.BoolOp(op=ast.And() | ast.Or() as which, values=nodes):
+            parts, combine = [evaluates(part) for part in nodes], all if isinstance(which, ast.And) else any
+            return lambda scope: combine(part(scope) for part in parts)
+        case ast.UnaryOp(op=sign, operand=inner) if type(sign) in OPERATORS:
+            function, operand = OPERATORS[type(sign)], evaluates(inner)
+            return lambda scope: function(operand(scope))
+        case ast.BinOp(left=left, op=sign, right=right) if type(sign) in OPERATORS:
+            return applies(OPERATORS[type(sign)], [left, right])
+        case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in OPERATORS:
+            return applies(OPERATORS[type(sign)], [left, right])
+        case ast.IfExp(test=test, body=body, orelse=otherwise):
+            condition, one, two = map(evaluates, (test, body, otherwise))
+            return lambda scope: one(scope) if condition(scope) else two(scope)
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_NUMBERS:
+            return applies(OF_NUMBERS[name], arguments)
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_ALGORITHMS:
+            algorithms = [each.id for each in arguments if isinstance(each, ast.Name) and each.id in ALGORITHMS]
+            if len(algorithms) == len(arguments):
+                return lambda scope: getattr(scope, name)(*algorithms)
+    raise ValueError(f"{ast.unparse(node)!r} is nothing that a claim can say")
+
+
+def applies(function: Callable[..., Any], nodes: list[ast.expr]) -> Evaluates:
+    """What applies a function to the values of these parts."""
+    parts = [evaluates(part) for part in nodes]
+    return lambda scope: function(*(part(scope) for part in parts))
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Claims
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A line of benchmark/paper/claims.csv."""
+
+    place: str
+    sentence: str
+    tasks: str
+    needed: str
+    metric: str
+    expression: str
+
+    @cached_property
+    def places(self) -> tuple[str, ...]:
+        """The tasks, or the families. ValueError for a name that is neither a set nor a task."""
+        words = self.tasks.split()
+        if words[0] == "families":
+            return tuple(words[1:])
+        found: dict[str, None] = {}
+        for word in words:
+            name = word.removeprefix("-")
+            tasks = SETS.get(name) or (name,)
+            if not set(tasks) <= set(TASKS):
+                raise ValueError(f"{name!r} is no set of tasks and no task of the paper")
+            if word == name:
+                found |= dict.fromkeys(tasks)
+            else:
+                found = {task: None for task in found if task not in tasks}
+        return tuple(found)
+
+    @cached_property
+    def parsed(self) -> tuple[ast.expr, Evaluates]:
+        """The expression, and what evaluates it."""
+        return parse(self.expression)
+
+    @cached_property
+    def named(self) -> list[str]:
+        """The names in the expression, in order, each once."""
+        nodes = [node for node in ast.walk(self.parsed[0]) if isinstance(node, ast.Name)]
+        return list(dict.fromkeys(node.id for node in sorted(nodes, key=lambda node: node.col_offset)))
+
+    def enough(self) -> int:
+        """On how many tasks or families it must hold."""
+        number = len(self.places)
+        by_name = {"all": number, "majority": number // 2 + 1, "three quarters": math.ceil(0.75 * number)}
+        return by_name[self.needed] if self.needed in by_name else int(self.needed)
+
+    def cells(self) -> Iterator[Key]:
+        """The cells that the claim looks at."""
+        code, family_by_family = self.needed == "code", self.tasks.startswith("families")
+        named = set() if code else {*self.named}
+        alone = self.expression.startswith("sharing") if code else BOTH_SHARINGS & named
+        if code or family_by_family or OF_ALL_NINE & named:
+            algorithms: Iterable[str] = ALGORITHMS
         else:
-            found[bool(holds)].append(f"{task} ({figures})" if figures else task)
-    yes, no = found[True], found[False]
-    verdict = HOLDS if len(yes) >= enough else FAILS if len(yes) + missing < enough else UNKNOWN
-    parts = [f"{len(yes)} of {len(tasks)} {unit}" + (f", {missing} not measured" if missing else "")]
-    if yes and len(tasks) <= MOST_SHOWN:
-        parts.append(f"yes: {', '.join(yes)}")
-    if no:
-        parts.append(f"no: {', '.join(no[:MOST_SHOWN])}" + (", ..." if len(no) > MOST_SHOWN else ""))
-    return Verdict(verdict, "; ".join(parts) if missing < len(tasks) else "")
+            algorithms = [name for name in ALGORITHMS if name in named]
+        for place in self.places:
+            for task in SETS.get(place, (place,)):
+                for sharing in (True, False) if alone else (True,):
+                    yield from ((self.metric, sharing, task, name) for name in algorithms)
+
+    def judge(self, view: View) -> Verdict:
+        """By these cells as they are."""
+        if self.needed == "code":
+            try:
+                return CODE[self.expression](view)
+            except NotMeasured:
+                return Verdict(UNKNOWN, "")
+        outcomes: dict[str, bool | None] = {}
+        for place in self.places:
+            try:
+                outcomes[place] = bool(self.parsed[1](Scope(view, place, self.metric)))
+            except NotMeasured:
+                outcomes[place] = None
+        return Verdict(verdict_of(outcomes, self.enough()), "", outcomes)
+
+    def text(self, view: View, outcomes: dict[str, bool | None]) -> str:
+        """The figures behind the verdict."""
+        missing = [*outcomes.values()].count(None)
+        if not outcomes or missing == len(outcomes):
+            return ""
+        words = "families" if self.tasks.startswith("families") else "tasks"
+        yes, no = ([place for place, holds in outcomes.items() if holds is which] for which in (True, False))
+        parts = [f"{len(yes)} of {len(outcomes)} {words}" + (f", {missing} not measured" if missing else "")]
+        if yes and len(outcomes) <= MOST_SHOWN:
+            parts.append(f"yes: {', '.join(self.values_text(view, place) for place in yes)}")
+        if no:
+            shown = [self.values_text(view, place) for place in no[:MOST_SHOWN]]
+            parts.append(f"no: {', '.join(shown)}" + (", ..." if len(no) > MOST_SHOWN else ""))
+        return "; ".join(parts)
+
+    def values_text(self, view: View, place: str) -> str:
+        """The values of one task or family that the expression names."""
+        scope, parts = Scope(view, place, self.metric), []
+        if "competitive_tasks" in self.named:
+            algorithm = next(name for name in self.named if name in ALGORITHMS)
+            tasks = [task for task in scope.tasks() if scope.at(task).competitive(algorithm)]
+            return f"{place} ({', '.join(tasks) or 'none'})"
+        for name in self.named:
+            if name in ALGORITHMS:
+                parts.append(f"{name.upper()} {scope.name(name):.2f}")
+            elif name in NAMES:
+                parts.append(f"{name} {scope.name(name):{'d' if name == 'improved' else '.2f'}}")
+        if {"competitive", "matches_best", "scaled"} & {*self.named} and place not in PAPER_FAMILIES:
+            parts.append(f"best {scope.best:.2f}")
+        return f"{place} ({', '.join(parts)})"
 
 
-# --- tests of one task, by algorithms ---
-def values_text(view: View, algorithms: Iterable[str], task: str) -> str:
-    """The algorithms' values on a task."""
-    return ", ".join(f"{name.upper()} {view.value(name, task):.2f}" for name in algorithms)
+def read_claims() -> list[Claim]:
+    """The claims of benchmark/paper/claims.csv."""
+    with open(PAPER / "claims.csv", encoding="utf-8", newline="") as file:
+        return [Claim(**row) for row in csv.DictReader(file)]
 
 
-def compares(holds: Callable[[View, str], bool], *algorithms: str) -> Test:
-    """A condition, shown with these algorithms' values."""
-    return lambda view, task: (holds(view, task), values_text(view, algorithms, task))
+def verdict_of(outcomes: dict[str, bool | None], enough: int) -> str:
+    """Whether the expression holds on enough tasks, as soon as those that are not measured cannot change it."""
+    number = Counter(outcomes.values())
+    return HOLDS if number[True] >= enough else FAILS if number[True] + number[None] < enough else UNKNOWN
 
 
-def higher(algorithm: str, *others: str) -> Test:
-    """The first algorithm's value is higher than those of the others."""
-    return compares(
-        lambda view, task: all(view.value(algorithm, task) > view.value(other, task) for other in others),
-        *(algorithm, *others),
-    )
-
-
-def at_least(algorithm: str, other: str) -> Test:
-    """One algorithm's value is equal to or higher than another's."""
-    return compares(lambda view, task: view.value(algorithm, task) >= view.value(other, task), algorithm, other)
-
-
-def beats(winners: Iterable[str], losers: Iterable[str], *shown: str) -> Test:
-    """Each winner is significantly better than each loser; shown: in this order."""
-    pairs = [(winner, loser) for winner in winners for loser in losers]
-    return compares(lambda view, task: all(view.beats(*pair, task) for pair in pairs), *shown)
-
-
-def similar(*pairs: tuple[str, str]) -> Test:
-    """The algorithms of each pair are similar."""
-    names = [name for pair in pairs for name in pair]
-    return compares(lambda view, task: all(view.similar(*pair, task) for pair in pairs), *names)
-
-
-def competitive(algorithm: str, where: Iterable[str] = TASKS) -> Test:
-    """An algorithm is competitive in these tasks, and not in others."""
-
-    def test(view: View, task: str) -> tuple[bool, str]:
-        best = max(view.values(task).values())
-        figures = f"{algorithm.upper()} {view.value(algorithm, task):.2f}, best {best:.2f}"
-        return view.competitive(algorithm, task) == (task in where), figures
-
-    return test
-
-
-def best(algorithm: str) -> Test:
-    """An algorithm has the highest value of all."""
-
-    def test(view: View, task: str) -> tuple[bool, str]:
-        values = view.values(task)
-        highest = max(values, key=lambda name: values[name])
-        found = values[algorithm] == values[highest]
-        return found, values_text(view, [algorithm] if found else [algorithm, highest], task)
-
-    return test
-
-
-def centralised_above(view: View, task: str) -> tuple[bool, str]:
-    """The better of MAA2C and MAPPO is above IA2C and IPPO."""
-    centralised, independent = ("maa2c", "mappo"), ("ia2c", "ippo")
-    above, below = (max(view.value(name, task) for name in names) for names in (centralised, independent))
-    return above > below, values_text(view, (*centralised, *independent), task)
-
-
-def best_independent_competitive(view: View, task: str) -> tuple[bool, str]:
-    """The best of the independent learners is competitive."""
-    values = view.values(task)
-    own = max(INDEPENDENT, key=lambda name: values[name])
-    return view.competitive(own, task), f"{own.upper()} {values[own]:.2f}, best {max(values.values()):.2f}"
-
-
-def both_improved(view: View, task: str) -> tuple[bool, str]:
-    """MAA2C is significantly better than IA2C, and MAPPO than IPPO."""
-    better = view.beats("maa2c", "ia2c", task) and view.beats("mappo", "ippo", task)
-    return better, values_text(view, ("maa2c", "ia2c", "mappo", "ippo"), task)
-
-
-def no_learning(view: View, task: str) -> tuple[bool, str]:
-    """IQL, MADDPG, COMA, VDN and QMIX have less than a tenth of the best return."""
-    highest, algorithms = max(view.values(task).values()), ("iql", "maddpg", "coma", "vdn", "qmix")
-    low = all(view.value(name, task) < 0.1 * highest for name in algorithms)
-    return low, f"{values_text(view, algorithms, task)}, best {highest:.2f}"
-
-
-def maddpg_worst(view: View, task: str) -> tuple[bool, str]:
-    """MADDPG is below all others but COMA."""
-    values = view.values(task)
-    lowest = min(value for name, value in values.items() if name not in ("maddpg", "coma"))
-    return values["maddpg"] < lowest, f"MADDPG {values['maddpg']:.2f}, lowest other {lowest:.2f}"
-
-
-def maddpg_low(view: View, task: str) -> tuple[bool, str]:
-    """MADDPG has less than half of the best return."""
-    highest, own = max(view.values(task).values()), view.value("maddpg", task)
-    return own < highest / 2, f"MADDPG {own:.2f}, best {highest:.2f}"
-
-
-def coma_lowest(view: View, task: str) -> tuple[bool, str]:
-    """COMA is one of the two lowest."""
-    values = view.values(task)
-    lower = sum(value < values["coma"] for value in values.values())
-    return lower < 2 and values["coma"] < max(values.values()), f"COMA {values['coma']:.2f}, lower ones: {lower}"
-
-
-def decomposition_matches(view: View, task: str) -> tuple[bool, str]:
-    """VDN or QMIX is the best, or not significantly different from it."""
-    values = view.values(task)
-    highest = max(values, key=lambda name: values[name])
-    own = max(("vdn", "qmix"), key=lambda name: values[name])
-    matches = values[own] == values[highest] or view.same(own, highest, task)
-    return matches, values_text(view, dict.fromkeys((own, highest)), task)
-
-
-def decomposition_not_below_iql(view: View, task: str) -> tuple[bool, str]:
-    """The better of VDN and QMIX is not below IQL."""
-    own = max(view.value("vdn", task), view.value("qmix", task))
-    return own >= view.value("iql", task), values_text(view, ("vdn", "qmix", "iql"), task)
-
-
-def sharing_helps(view: View, task: str) -> tuple[bool, str]:
-    """Most algorithms are better with sharing."""
-    better = sum(view.value(name, task, True) > view.value(name, task, False) for name in ALGORITHMS)
-    return better > len(ALGORITHMS) / 2, f"{better} of 9 algorithms"
-
-
-# --- tests of one family ---
-def of_family(name: str) -> list[str]:
-    """The tasks of a family."""
-    return [task for task in TASKS if family(task) == name]
-
-
-def higher_on_average(algorithm: str, other: str, metric: str, lower_in: str = "") -> Test:
-    """One algorithm's mean normalised value over a family is above another's; in the family `lower_in`, below."""
-
-    def test(view: View, name: str) -> tuple[bool, str]:
-        tasks = of_family(name)
-        one, two = (
-            sum(view.normalised(each, task, metric) for task in tasks) / len(tasks) for each in (algorithm, other)
-        )
-        return one < two if name == lower_in else one > two, f"{algorithm.upper()} {one:.2f}, {other.upper()} {two:.2f}"
-
-    return test
-
-
-def competitive_only(algorithm: str, where: str, in_one_task: bool = False) -> Test:
-    """An algorithm is competitive in tasks (or one task) of one family, and in no other family."""
-
-    def test(view: View, name: str) -> tuple[bool, str]:
-        found = [task for task in of_family(name) if view.competitive(algorithm, task)]
-        as_claimed = (len(found) == 1 if in_one_task else bool(found)) if name == where else not found
-        return as_claimed, ", ".join(found)
-
-    return test
+# --- claims that compare tasks or families with each other ---
+def vdn_qmix_mpe(view: View) -> Verdict:
+    """By the mean difference of the normalised maxima."""
+    apart = {}
+    for name in ("mpe", "smac", "lbf", "rware"):
+        scopes = [Scope(view, task, "max_return") for task in SETS[name]]
+        apart[name] = np.mean([abs(scope.scaled("vdn") - scope.scaled("qmix")) for scope in scopes])
+    figures = ", ".join(f"{name} {gap:.2f}" for name, gap in apart.items())
+    return Verdict(HOLDS if apart["mpe"] == max(apart.values()) else FAILS, figures)
 
 
 def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, float]:
@@ -303,7 +477,7 @@ def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, flo
     returns are equal do not count; where there are no others, both means are 0."""
     shared, alone = [], []
     for task in tasks:
-        values = {each: [view.value(name, task, each) for name in ALGORITHMS] for each in (True, False)}
+        values = {sharing: [*view.values("max_return", sharing, task).values()] for sharing in (True, False)}
         low, high = min(values[True] + values[False]), max(values[True] + values[False])
         if high > low:
             shared += [(value - low) / (high - low) for value in values[True]]
@@ -311,26 +485,30 @@ def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, flo
     return sum(shared) / max(len(shared), 1), sum(alone) / max(len(alone), 1)
 
 
-def sharing_improves(view: View, name: str) -> tuple[bool, str]:
-    """The mean is higher with sharing; in the matrix games it is not."""
-    shared, alone = means_with_and_without(view, of_family(name))
-    return (shared <= alone) if name == "matrix" else (shared > alone), f"{shared:.2f} with, {alone:.2f} without"
-
-
-# --- claims that compare tasks or families ---
-def vdn_qmix_mpe(view: View) -> Verdict:
-    """By the mean difference of the normalised maxima."""
-    apart = {}
-    for name in ("mpe", "smac", "lbf", "rware"):
-        gaps = [abs(view.normalised("vdn", task) - view.normalised("qmix", task)) for task in of_family(name)]
-        apart[name] = sum(gaps) / len(gaps)
-    figures = ", ".join(f"{name} {gap:.2f}" for name, gap in apart.items())
-    return Verdict(HOLDS if apart["mpe"] == max(apart.values()) else FAILS, figures)
+def sharing_significant(view: View) -> Verdict:
+    """Three pairs of algorithm and task at least."""
+    found, missing = [], 0
+    for task in TASKS:
+        for name in ALGORITHMS:
+            try:
+                scope = Scope(view, task, "max_return")
+                one, two = (view.cell("max_return", sharing, task, name) for sharing in (True, False))
+                if one.value > two.value and scope.decided(one, two):
+                    found.append(f"{name.upper()} on {task} ({one.value:.2f}, {two.value:.2f} without)")
+            except NotMeasured:
+                missing += 1
+    shown = ", ".join(found[:MOST_SHOWN]) + (", ..." if len(found) > MOST_SHOWN else "")
+    pairs = len(TASKS) * len(ALGORITHMS)
+    if missing == pairs:
+        raise NotMeasured
+    figures = f"{len(found)} of {pairs} pairs" + (f", {missing} not measured" if missing else "")
+    verdict = HOLDS if len(found) >= 3 else UNKNOWN if len(found) + missing >= 3 else FAILS
+    return Verdict(verdict, f"{figures}: {shown}" if found else figures)
 
 
 def sharing_sparse(view: View) -> Verdict:
     """In LBF."""
-    large, small = means_with_and_without(view, LARGE_LBF), means_with_and_without(view, SMALL_LBF)
+    large, small = (means_with_and_without(view, SETS[name]) for name in ("large_lbf", "small_lbf"))
     gains = large[0] - large[1], small[0] - small[1]
     figures = "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
     return Verdict(HOLDS if gains[0] > gains[1] else FAILS, figures)
@@ -338,7 +516,7 @@ def sharing_sparse(view: View) -> Verdict:
 
 def sharing_rware(view: View) -> Verdict:
     """In RWARE."""
-    means = {task: means_with_and_without(view, [task]) for task in RWARE}
+    means = {task: means_with_and_without(view, [task]) for task in SETS["rware"]}
     gains = {task: shared - alone for task, (shared, alone) in means.items()}
     simple = gains.pop("rware-tiny-4p")
     figures = ", ".join(f"{task} {gain:.2f}" for task, gain in gains.items())
@@ -346,154 +524,101 @@ def sharing_rware(view: View) -> Verdict:
     return Verdict(verdict, f"gains: {figures}, rware-tiny-4p {simple:.2f}")
 
 
-def on(tasks: Iterable[str], test: Test, needed: float = 1.0, unit: str = "tasks") -> Callable[[View], Verdict]:
-    """A claim that a test holds on tasks or families; see `among`."""
-    return lambda view: among(view, tasks, test, needed, unit)
-
-
-# By section, what the paper says, and whether it holds in a set of results
-SECTIONS: dict[str, dict[str, Callable[[View], Verdict]]] = {
-    "5.1": {
-        "IQL performs significantly worse than IA2C and IPPO in Speaker-Listener and in all RWARE tasks.": on(
-            [SPEAKER_LISTENER, *RWARE], beats(["ia2c", "ippo"], ["iql"], *INDEPENDENT)
-        ),
-        "IQL is effective (here: competitive) in all LBF tasks but the three with the largest grids.": on(
-            LBF, competitive("iql", SMALL_LBF)
-        ),
-        "IQL achieves the best performance of all algorithms in 3s_vs_5z.": on(["smac-3s_vs_5z"], best("iql")),
-        "IQL performs competitively in the other SMAC tasks.": on(
-            [task for task in SMAC if task != "smac-3s_vs_5z"], competitive("iql")
-        ),
-        "IA2C performs similarly to IPPO in the majority of tasks.": on(TASKS, similar(("ia2c", "ippo")), MAJORITY),
-        "IA2C performs competitively compared to all algorithms with centralised training (in most tasks).": on(
-            TASKS, competitive("ia2c"), MAJORITY
-        ),
-        "IA2C achieves higher returns than IQL in all but two SMAC tasks.": on(SMAC, higher("ia2c", "iql"), 3 / 5),
-        "IA2C significantly outperforms COMA and MADDPG in the majority of the tasks.": on(
-            TASKS, beats(["ia2c"], ["coma", "maddpg"], "ia2c", "coma", "maddpg"), MAJORITY
-        ),
-        "IPPO in general performs competitively in all tasks (in the vast majority).": on(
-            TASKS, competitive("ippo"), VAST_MAJORITY
-        ),
-        (
-            "On average over training, IPPO achieves higher normalised returns than IA2C in MPE, SMAC and RWARE, "
-            "lower in LBF."
-        ): on(
-            FAMILIES_BUT_MATRIX, higher_on_average("ippo", "ia2c", "average_return", lower_in="lbf"), unit="families"
-        ),
-        "IPPO outperforms MAA2C in the RWARE tasks.": on(RWARE, higher("ippo", "maa2c")),
-        "IPPO in general performs worse than MAPPO (outside the matrix games, where both are equal).": on(
-            NOT_MATRIX, higher("mappo", "ippo"), MAJORITY
-        ),
-    },
-    "5.2": {
-        (
-            "Centralised critics are valuable (the better of MAA2C and MAPPO is above IA2C and IPPO) in "
-            "Speaker-Listener and the harder SMAC tasks."
-        ): on([SPEAKER_LISTENER, *HARD_SMAC], centralised_above),
-        "Independent learning is competitive in the fully observable tasks of MPE and LBF (the majority of them).": on(
-            FULLY_OBSERVABLE, best_independent_competitive, MAJORITY
-        ),
-        "In most RWARE tasks MAA2C and MAPPO significantly improve upon IA2C and IPPO.": on(
-            RWARE, both_improved, MAJORITY
-        ),
-        "IQL, MADDPG, COMA, VDN and QMIX do not exhibit any learning in RWARE.": on(RWARE, no_learning),
-        "MADDPG performs worse than all other algorithms except COMA in the majority of the tasks.": on(
-            TASKS, maddpg_worst, MAJORITY
-        ),
-        "MADDPG performs competitively only in some MPE tasks (and in the matrix games).": on(
-            FAMILIES_BUT_MATRIX, competitive_only("maddpg", "mpe"), unit="families"
-        ),
-        "MADDPG exhibits very low returns (less than half of the best) in LBF and RWARE (most of the tasks).": on(
-            [*LBF, *RWARE], maddpg_low, MAJORITY
-        ),
-        "COMA exhibits one of the lowest performances (one of the two lowest) in most tasks.": on(
-            TASKS, coma_lowest, MAJORITY
-        ),
-        "COMA performs competitively only in one SMAC task (and in the matrix games).": on(
-            FAMILIES_BUT_MATRIX, competitive_only("coma", "smac", in_one_task=True), unit="families"
-        ),
-        "In Speaker-Listener, COMA fails to find the local optimum with a return of about -17.": on(
-            [SPEAKER_LISTENER], compares(lambda view, task: view.value("coma", task) < -17, "coma")
-        ),
-        "MAA2C performs competitively in the majority of the tasks.": on(TASKS, competitive("maa2c"), MAJORITY),
-        "MAA2C achieves slightly higher returns than MAPPO in MPE and LBF (the mean of the normalised maxima).": on(
-            ("mpe", "lbf"), higher_on_average("maa2c", "mappo", "max_return"), unit="families"
-        ),
-        "MAA2C achieves significantly lower returns than MAPPO in most SMAC and RWARE tasks.": on(
-            [*SMAC, *RWARE], beats(["mappo"], ["maa2c"], "mappo", "maa2c"), MAJORITY
-        ),
-        "MAPPO achieves high returns (is competitive) in the vast majority of tasks.": on(
-            TASKS, competitive("mappo"), VAST_MAJORITY
-        ),
-        "MAPPO's returns in RWARE exceed those of all other algorithms.": on(RWARE, best("mappo")),
-        "Except in RWARE, VDN or QMIX outperforms or matches the best other algorithm in the majority of tasks.": on(
-            (*MATRIX, *MPE, *SMAC, *LBF), decomposition_matches, MAJORITY
-        ),
-        "VDN and QMIX perform similarly in most SMAC tasks and across LBF (most of the tasks of both).": on(
-            [*SMAC, *LBF], similar(("vdn", "qmix")), MAJORITY
-        ),
-        "VDN and QMIX differ most in MPE (the mean difference of normalised maxima by family).": vdn_qmix_mpe,
-        "QMIX achieves consistently high returns (is competitive) across almost all tasks.": on(
-            TASKS, competitive("qmix"), VAST_MAJORITY
-        ),
-    },
-    "5.3": {
-        "In all environments except the matrix games, parameter sharing improves the normalised maximum returns.": on(
-            PAPER_FAMILIES, sharing_improves, unit="families"
-        ),
-        "Sharing improves most algorithms in Speaker-Listener and Tag.": on(
-            (SPEAKER_LISTENER, "mpe-tag"), sharing_helps
-        ),
-        "Sharing improves the returns (of most algorithms) in the harder SMAC tasks.": on(HARD_SMAC, sharing_helps),
-        "In LBF, sharing helps more in larger grids, where the reward is sparser.": sharing_sparse,
-        "In RWARE, sharing helps more with fewer agents, or in a larger warehouse, than in tiny-4p.": sharing_rware,
-    },
-    "6": {
-        "IA2C and IPPO achieve higher returns than IQL in the majority of the tasks (outside the matrix games).": on(
-            NOT_MATRIX,
-            compares(
-                lambda view, task: view.value("iql", task) < min(view.value("ia2c", task), view.value("ippo", task)),
-                *INDEPENDENT,
-            ),
-            MAJORITY,
-        ),
-        "MAA2C achieves equal or higher returns than IA2C in the majority of the tasks.": on(
-            TASKS, at_least("maa2c", "ia2c"), MAJORITY
-        ),
-        "MAA2C is significantly better than IA2C in the RWARE tasks with four agents.": on(
-            [task for task in RWARE if "4p" in task], beats(["maa2c"], ["ia2c"], "maa2c", "ia2c")
-        ),
-        "MAA2C and IA2C are similar in RWARE tiny-2p.": on(["rware-tiny-2p"], similar(("maa2c", "ia2c"))),
-        "IA2C and MAA2C, IPPO and MAPPO have similar returns in fully observable tasks (most of MPE and LBF).": on(
-            FULLY_OBSERVABLE, similar(("ia2c", "maa2c"), ("ippo", "mappo")), MAJORITY
-        ),
-        "Value decomposition improves upon IQL across most tasks (the better of VDN and QMIX is not below IQL).": on(
-            TASKS, decomposition_not_below_iql, MAJORITY
-        ),
-        "QMIX is better than VDN in Speaker-Listener and Tag.": on(
-            (SPEAKER_LISTENER, "mpe-tag"), higher("qmix", "vdn")
-        ),
-        "QMIX is not above VDN in most LBF tasks.": on(LBF, at_least("vdn", "qmix"), MAJORITY),
-        "VDN and QMIX are significantly worse than IA2C, IPPO, MAA2C and MAPPO in RWARE.": on(
-            RWARE, beats(POLICY_GRADIENT, ["vdn", "qmix"], "vdn", "qmix", *POLICY_GRADIENT)
-        ),
-    },
+CODE: dict[str, Callable[[View], Verdict]] = {
+    each.__name__: each for each in (vdn_qmix_mpe, sharing_significant, sharing_sparse, sharing_rware)
 }
-CLAIMS = [(place, sentence, holds) for place, claims in SECTIONS.items() for sentence, holds in claims.items()]
+CLAIMS = read_claims()
 
 
-def judge(cells: pd.DataFrame) -> list[Verdict]:
-    """The verdict on each of CLAIMS in these cells."""
-    verdicts = []
-    view = View(cells)
-    for _, _, function in CLAIMS:
-        view.few_seeds = False
-        try:
-            verdict = function(view)
-        except NotMeasured:
-            verdict = Verdict(UNKNOWN, "")
-        if view.few_seeds and verdict.figures:
-            verdict = Verdict(verdict.verdict, f"{verdict.figures}; some from fewer than five seeds")
-        verdicts.append(verdict)
-    return verdicts
+# ---------------------------------------------------------------------------------------------------------------------
+# Verdicts
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def completed(view: View, paper: View) -> list[View]:
+    """`DRAWS` tables in which each cell that the paper has, too, has at least five seeds."""
+    rng = np.random.default_rng(0)
+    drawn: dict[Key, list[Cell]] = {}
+    for key, cell in sorted(view.cells.items()):
+        missing = PAPER_SEEDS - cell.seeds
+        if missing <= 0 or key not in paper.cells:
+            continue
+        deviation = float(spread(cell.interval, cell.seeds, paper.cells[key].interval))
+        mean = rng.normal(cell.value, deviation / np.sqrt(cell.seeds), DRAWS)
+        seeds = rng.normal(mean[:, None], deviation, (DRAWS, missing))
+        theirs = seeds.mean(axis=1)
+        whole = (cell.seeds * cell.value + missing * theirs) / PAPER_SEEDS
+        squares = ((seeds - theirs[:, None]) ** 2).sum(axis=1)
+        squares += cell.seeds * missing / PAPER_SEEDS * (cell.value - theirs) ** 2
+        if cell.seeds > 1:
+            squares += (cell.seeds - 1) * (cell.interval * np.sqrt(cell.seeds) / 2) ** 2
+        intervals = 2 * np.sqrt(squares / (PAPER_SEEDS - 1)) / np.sqrt(PAPER_SEEDS)
+        drawn[key] = [Cell(*each, PAPER_SEEDS) for each in zip(whole.tolist(), intervals.tolist())]
+    return [View(view.cells | {key: cells[draw] for key, cells in drawn.items()}) for draw in range(DRAWS)]
+
+
+def judge(cells: pd.DataFrame, hours: dict[tuple[bool, str, str], float] | None = None) -> list[Verdict]:
+    """The verdict on each of CLAIMS in these cells.
+
+    hours: CPU hours of a run by sharing, the paper's task and algorithm, to say what one seed more would cost.
+    """
+    view = View.of(cells)
+    few = {key for key, cell in view.cells.items() if cell.seeds < PAPER_SEEDS}
+    tables = completed(view, View.of(paper_cells())) if few else []
+    return [one_verdict(claim, view, tables, few, hours or {}) for claim in CLAIMS]
+
+
+def one_verdict(
+    claim: Claim, view: View, tables: list[View], few: set[Key], hours: dict[tuple[bool, str, str], float]
+) -> Verdict:
+    """The verdict on one claim; tables: `completed`; few: the cells with fewer than five seeds."""
+    found = claim.judge(view)
+    figures = found.figures or claim.text(view, found.outcomes)
+    needed = set(claim.cells())
+    carrying = needed & few
+    if found.verdict == UNKNOWN or not carrying:
+        rests_on = ""
+        if found.verdict == UNKNOWN:
+            absent = sum(key not in view.cells for key in needed)
+            rests_on = (
+                f"missing cells: {absent}"
+                if absent
+                else cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
+            )
+        return replace(found, figures=figures, rests_on=rests_on)
+    drawn = [claim.judge(table) for table in tables]
+    stays = float(np.mean([each.verdict == found.verdict for each in drawn]))
+    if stays >= 1 - TURNED:
+        return replace(
+            found, figures=figures, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays
+        )
+    turning = {
+        place
+        for place, holds in found.outcomes.items()
+        if np.mean([each.outcomes[place] is not holds for each in drawn]) > TURNED
+    }
+    tasks = {task for place in turning for task in SETS.get(place, (place,))}
+    deciding = shown(claim, view, {key for key in carrying if key[2] in tasks} or carrying)
+    words = f"{found.verdict} as it is, and in {100 * stays:.0f} % of the completed tables; "
+    return replace(found, verdict=CLOSE, figures=figures, rests_on=cells_text(words, deciding, hours), stays=stays)
+
+
+def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
+    """Those of these cells that are of an algorithm that the claim names, or of the best on their task; all of them,
+    where the claim is code."""
+    if claim.needed == "code":
+        return cells
+    best = {}
+    for key in cells:
+        there = {other: cell.value for other, cell in view.cells.items() if other[:3] == key[:3]}
+        best[key] = there[key] == max(there.values())
+    return {key for key in cells if key[3] in claim.named or best[key]} or cells
+
+
+def cells_text(words: str, cells: set[Key], hours: dict[tuple[bool, str, str], float]) -> str:
+    """How many cells with fewer than five seeds there are, on which tasks, and what one seed more of each costs."""
+    tasks = [task for task in TASKS if any(key[2] == task for key in cells)]
+    shown = ", ".join(tasks[:MOST_SHOWN]) + (", ..." if len(tasks) > MOST_SHOWN else "")
+    cost = sum(hours.get(key[1:], 0.0) for key in cells)
+    price = f"; one seed more of each: {cost:.1f} CPU hours" if cost else ""
+    return f"{words}{len(cells)} cell{'s' * (len(cells) > 1)} with fewer than five seeds ({shown}){price}"

@@ -38,6 +38,9 @@ PAPER_SEEDS = 5
 PAPER_RUNS = 2250  # 9 algorithms, 25 tasks, with and without sharing, 5 seeds
 PAPER_CPU_HOURS = 138_916
 PAPER_SETTING = "{}"
+# In these tasks the paper's teams played against trained networks of its own. Its rows are compared with runs against
+# those, which have this fingerprint; runs against our own opponents have tables of their own.
+PAPER_OPPONENTS = {"mpe-adversary": "915a50e2ce129bc1", "mpe-tag": "ab8fed43e248e85a"}
 KEY = ["task", "algorithm", "sharing", "setting"]
 COLUMNS = ["point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"]
 SPEED_COLUMNS = ["task", "whose", "steps_per_second", "processor", "commit"]
@@ -278,23 +281,41 @@ def speeds(results: Path = RESULTS) -> pd.DataFrame:
     return both.assign(family=both["task"].map(family))
 
 
-def in_tables(evaluations: pd.DataFrame) -> pd.DataFrame:
+def paper_setting(task: str) -> dict[str, Any]:
+    """The changed flags of the runs that the paper's rows are compared with: none, or its own opponent."""
+    return {"env_kwargs": f"opponent='{PAPER_OPPONENTS[task]}'"} if task in PAPER_OPPONENTS else {}
+
+
+def has_paper_setting(evaluations: pd.DataFrame) -> pd.Series:
+    """For each row whether it is of a run with the paper's flags and budget, against the paper's opponent."""
+    settings = {task: setting_name(paper_setting(task)) for task in evaluations["task"].unique()}
+    return evaluations["setting"] == evaluations["task"].map(settings)
+
+
+def in_tables(evaluations: pd.DataFrame, own_opponent: bool = False) -> pd.DataFrame:
     """The evaluations that the paper's tables and curves show: of each task, algorithm and sharing the paper's setting,
-    or where its budget is missing, the longest other one."""
+    or where its budget is missing, the longest other one. own_opponent: those of `PAPER_OPPONENTS`' tasks instead that
+    were played against the opponents of this repository."""
     budgets = evaluations[[*KEY, "total_timesteps"]].drop_duplicates()
-    budgets = budgets[[set(json.loads(setting)) <= {"total_timesteps"} for setting in budgets["setting"]]]
-    budgets = budgets.assign(other_budget=budgets["setting"] != PAPER_SETTING)
+    if own_opponent:
+        budgets = budgets[budgets["task"].isin(PAPER_OPPONENTS)]
+    changed = [json.loads(setting) for setting in budgets["setting"]]
+    other_budget = [bool(flags.pop("total_timesteps", 0)) for flags in changed]
+    expected = [{} if own_opponent else paper_setting(task) for task in budgets["task"]]
+    budgets = budgets.assign(other_budget=other_budget)
+    budgets = budgets[np.array([flags == its for flags, its in zip(changed, expected)], bool)]
     budgets = budgets.sort_values(["other_budget", "total_timesteps"], ascending=[True, False])
     chosen = budgets.drop_duplicates(["task", "algorithm", "sharing"])[[*KEY, "other_budget"]]
     return evaluations.merge(chosen, on=KEY)
 
 
-def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
+def our_cells(evaluations: pd.DataFrame, own_opponent: bool = False) -> pd.DataFrame:
     """The results `in_tables` as cells in the form of `paper_cells`, with the further metric last_return.
 
-    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with.
+    at_start: the maximum lies before training. paper_task: the row of the paper that a cell is compared with; empty
+    with `own_opponent`.
     """
-    chosen = in_tables(evaluations)
+    chosen = in_tables(evaluations, own_opponent)
     settings = chosen[[*KEY, "total_timesteps", "other_budget"]].drop_duplicates()
     parts = []
     for column, prefix in {"return_mean": "return", "battle_won": "win_rate"}.items():
@@ -306,6 +327,6 @@ def our_cells(evaluations: pd.DataFrame) -> pd.DataFrame:
             cells = summary.assign(metric=metric, mean=summary[measure], interval=summary[f"{measure}_interval"])
             parts.append(cells.assign(at_start=(summary["maximum_point"] == 0) & (measure == "maximum")))
     cells = pd.concat(parts, ignore_index=True).rename(columns={"total_timesteps": "timesteps"})
-    cells["paper_task"] = cells["task"].map(paper_task)
+    cells["paper_task"] = "" if own_opponent else cells["task"].map(paper_task)
     columns = ["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"]
     return cells[[*columns, "timesteps", "other_budget", "at_start", "paper_task"]]

@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
+from reporting.agreement import half_width
 from reporting.results import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, algorithm_order, family, summarise
 
 SIGNIFICANCE = 0.05
-PRECISION = 0.01  # of what the paper prints
 TITLES = {
     "max_return": "Maximum returns",
     "average_return": "Average returns",
@@ -31,9 +31,10 @@ In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mea
 alike. An asterisk: not significantly different from one of these. A small number: so many seeds instead of five; a
 single one has no interval. °: the maximum lies at step 0, before any training, and is the luck of random networks. †:
 another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its average is
-above its maximum. Difference: ours minus the paper's, in units of both intervals together (the root of the sum of their
-squares, at least 0.01). The interval of a single seed is not known; 2 s takes its place, where s is the standard
-deviation of the paper's five seeds."""
+above its maximum. Difference: ours minus the paper's, in units of half the 95 % prediction interval of this difference,
+so that beyond 1 the two do not agree. For a single seed this interval has the spread of the paper's five seeds; with
+several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of five seeds:
+the best of 41 points picks its noise. So look at averages first."""
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 LATEX_SIGNS = {
     "_": r"\_",
@@ -92,7 +93,8 @@ def impossible(paper: pd.DataFrame) -> pd.Series:
 def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference.
 
-    difference: in units of both intervals; NaN with another budget, and without a value of the paper that can be.
+    difference: in units of `agreement.half_width`; NaN with another budget, and without a value of the paper that can
+    be.
     """
     theirs = paper.assign(impossible=impossible(paper)).rename(
         columns={"task": "paper_task", "mean": "paper_mean", "interval": "paper_interval"}
@@ -100,9 +102,8 @@ def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     key = ["metric", "sharing", "paper_task", "algorithm"]
     both = with_marks(ours).merge(theirs[[*key, "paper_mean", "paper_interval", "impossible"]], how="left", on=key)
     both["impossible"] = both["impossible"].eq(True)
-    single = both["paper_interval"] * np.sqrt(PAPER_SEEDS)  # 2 s / sqrt(1), s from the paper's five seeds
-    together = np.hypot(both["interval"].fillna(single), both["paper_interval"]).clip(lower=PRECISION)
-    difference = ((both["mean"] - both["paper_mean"]) / together).round(9)  # one interval apart is 1.0000000000001563
+    width = half_width(both["interval"], both["seeds"], both["paper_interval"])
+    difference = ((both["mean"] - both["paper_mean"]) / width).round(9)
     return both.assign(difference=difference.mask(both["other_budget"] | both["impossible"]))
 
 
@@ -219,25 +220,25 @@ SHOWN = ("matrix-climbing", "mpe-speaker-listener", "smaclite-2s_vs_1sc-sc2", "l
 
 
 def short(both: pd.DataFrame) -> str:
-    """Maximum returns with sharing and the paper's budget, one line for each of a few tasks."""
-    chosen = both[(both["metric"] == "max_return") & both["sharing"] & ~both["other_budget"]]
+    """Average returns with sharing and the paper's budget, one line for each of a few tasks."""
+    chosen = both[(both["metric"] == "average_return") & both["sharing"] & ~both["other_budget"]]
     chosen = chosen[chosen["task"].isin(SHOWN)]
     body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, columns(both), short_text).items()]
     return to_markdown(["task", *map(str.upper, columns(both))], body)
 
 
-def variants(evaluations: pd.DataFrame, ours: pd.DataFrame) -> str:
-    """The results that are in none of the paper's tables, as those with other flags; nothing where there are none."""
+def variants(evaluations: pd.DataFrame, shown: pd.DataFrame) -> str:
+    """The results that are in no other table, as those with other flags; nothing where there are none.
+
+    shown: the evaluations that the other tables are of.
+    """
     summary = summarise(evaluations).reset_index()
-    budgets = evaluations.drop_duplicates(KEY).set_index(KEY)["total_timesteps"]
-    shown = set(ours[["task", "algorithm", "sharing", "timesteps"]].itertuples(index=False, name=None))
+    elsewhere = set(shown[KEY].drop_duplicates().itertuples(index=False, name=None))
     body = []
     for row in summary.itertuples():
-        changed = json.loads(row.setting)
-        budget = budgets[row.task, row.algorithm, row.sharing, row.setting]
-        if set(changed) <= {"total_timesteps"} and (row.task, row.algorithm, row.sharing, budget) in shown:
+        if (row.task, row.algorithm, row.sharing, row.setting) in elsewhere:
             continue
-        flags = ", ".join(f"{name} {value}" for name, value in changed.items()).replace("|", r"\|")
+        flags = ", ".join(f"{name} {value}" for name, value in json.loads(row.setting).items()).replace("|", r"\|")
         values = [
             number(row.maximum, row.maximum_interval),
             number(row.average, row.average_interval),

@@ -1,6 +1,7 @@
 """All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
 
 import json
+import shlex
 import sys
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "benchmark"))
 
 from report import Report  # noqa: E402
-from reporting import claims, results, tables  # noqa: E402
+from reporting import results, tables  # noqa: E402
 from reporting.plots import COLOURS  # noqa: E402
 
 ALGORITHMS = results.ALGORITHMS
@@ -106,7 +107,7 @@ def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int
         words.append("--sharing independent")
     if changed:
         words.append("--")
-        words += [f"--{name.replace('_', '-')} {value}" for name, value in sorted(changed.items())]
+        words += [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in sorted(changed.items())]
     return " ".join(words)
 
 
@@ -115,11 +116,13 @@ def number(mean: float, interval: float) -> str:
     return tables.number(mean, interval)
 
 
-def verdicts() -> list[tuple[str, str, str, str, str]]:
-    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures."""
-    judged = zip(claims.CLAIMS, claims.judge(report().paper), claims.judge(report().ours))
+@lru_cache
+def verdicts() -> list[tuple[str, str, str, str, str, str]]:
+    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures, and the cells
+    on which our verdict rests."""
     return [
-        (place, sentence, paper.verdict, ours.verdict, ours.figures) for (place, sentence, _), paper, ours in judged
+        (claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on)
+        for claim, paper, ours in report().verdicts()
     ]
 
 

@@ -135,11 +135,12 @@ class Claims(Directive):
     def run(self) -> list[nodes.Node]:
         rows: list[str] = []
         counts: dict[str, int] = {}
-        for place, sentence, paper, ours, figures in results_data.verdicts():
+        for place, sentence, paper, ours, figures, rests_on in results_data.verdicts():
             counts[ours] = counts.get(ours, 0) + 1
             kinds = [verdict.replace(" ", "-") for verdict in (paper, ours)]
+            said = "".join(f'<div class="figures">{html.escape(text)}</div>' for text in (figures, rests_on) if text)
             rows.append(
-                f'<tr><td>{place}</td><td>{html.escape(sentence)}<div class="figures">{html.escape(figures)}</div></td>'
+                f"<tr><td>{place}</td><td>{html.escape(sentence)}{said}</td>"
                 f'<td class="verdict {kinds[0]}">{paper}</td><td class="verdict {kinds[1]}">{ours}</td></tr>'
             )
         summary = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
