@@ -817,5 +817,12 @@ def test_episodes_larger_than_the_memory(
 
 
 def test_the_table_of_tasks() -> None:
-    done = subprocess.run([sys.executable, "-m", "envs", SPREAD], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0 and SPREAD in done.stdout
+    """It takes the flags that its sentences name."""
+
+    def table(*words: str) -> Any:
+        return subprocess.run([sys.executable, "-m", "envs", *words], capture_output=True, text=True, cwd=ROOT)
+
+    done = table(SPREAD, PURSUIT, "--flatten-images")
+    assert done.returncode == 0 and SPREAD in done.stdout and PURSUIT in done.stdout
+    done = table(PURSUIT)
+    assert done.returncode == 2 and "--flatten-images makes vectors of them" in done.stderr
