@@ -754,6 +754,15 @@ def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any
     assert code == 2 and "was begun with --env-kwargs N=2, max_cycles=5" in said
 
 
+def test_what_a_game_reports_becomes_columns(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
+    monkeypatch.setattr(Queue, "teams", {"a": 0, "b": 0, "c": 0})
+    flags = ["--env", "pettingzoo:toy_odd", "--env-kwargs", "kind='reports'", "--total-timesteps", 60]
+    flags += ["--eval-points", 2, "--eval-episodes", 2, "--run-dir", tmp_path / "run"]
+    assert main(monkeypatch, capsys, "ippo", *flags)[0] == 0
+    table = (tmp_path / "run" / "evaluations.csv").read_text().splitlines()
+    assert table[0].endswith(",won,score,info_seed") and table[1].endswith(",1.0,3.0,5.0") and len(table) == 3
+
+
 def untrained_team(name: str, env: envs.VectorEnv, sharing: bool = True) -> Any:
     """A team of a script with a GRU, as in its first step."""
     module = script(name)
