@@ -1,38 +1,44 @@
+# docs/algorithms/coma.md explains every line. benchmark/RESULTS.md has curves and tables.
 """COMA: counterfactual multi-agent policy gradients.
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the state and what the other agents do (a_-i), and values each
 action that agent i could take. So an action is compared with the policy's average over all actions,
-while the others' actions stay as they are: this is the counterfactual baseline, and it shows each
-agent its own part in the team's success. Q' is an older or a slowly moving copy of Q.
+while the others' actions stay as they are: this average is the counterfactual baseline, and what is
+left is the agent's own part in the team's success. Q' is an older or a slowly moving copy of Q.
 
     G_i,t     = r_t + gamma r_{t+1} + ... + gamma^{n-1} r_{t+n-1} + gamma^n Q'_i(s_{t+n}, a_{t+n})
     A_i,t     = Q_i(s_t, a_t) - sum_a pi_i(a | o_i,t) Q_i(s_t, (a, a_-i,t))
     L(critic) = mean over steps of sum over agents of (G_i,t - Q_i(s_t, a_t))^2
     L(actor)  = - mean over agents and steps of [ A_i,t log pi_i(a_i,t | o_i,t) + e H(pi_i) ]
 
-r is the team's reward, G the n-step return, A the advantage, H the entropy, e --entropy-coef.
+r is the team's reward, G the n-step return, A the advantage, H the entropy, e --entropy-coef. Where
+the episode ends before t + n, G has the rewards up to there, plus Q' of the last state after a
+time-out, and nothing after a real end.
 With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
-The baseline only reduces noise. It does not bias the gradient: it is the same number b whatever
-action agent i takes, and the policy's mean of b grad log pi is b grad sum_a pi(a) = b grad 1 = 0.
+In the mean the baseline changes nothing; it takes away the noise of what the others do. For it is
+the same number b whatever action agent i takes, and the policy's mean of b grad log pi is
+b grad sum_a pi(a) = b grad 1 = 0.
 
 Algorithm: Foerster et al., "Counterfactual Multi-Agent Policy Gradients" (2018). There the targets
 are TD(lambda), the critic also sees o_i and the last actions, and a least probability of each
 action (epsilon) stands in the place of the entropy.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). Their code, EPyMARL, differs in two points. It replaced the rewards of
-a batch's last step by values; here they stay, and after a time-out the value of the next state is
-added. It also counted padding, the rows after an episode's end, when it standardised rewards.
-As a third, it gave COMA's actors their ids without parameter sharing.
+in Cooperative Tasks" (2021). Their code, EPyMARL (July 2021), differs in three points. It replaced
+the rewards of a batch's last step by values; here they stay, and after a time-out the value of the
+next state is added. It counted padding, the rows after an episode's end, when it standardised
+rewards. And it gave COMA's actors their ids without parameter sharing, too.
+
+With seed 0, lbf-15x15-3p-5f ends at a return of 0.01 (the most is 1) after 20 million steps and 18
+minutes of one core. COMA does not learn this task; the paper has 0.08 at best.
 
     python algos/coma.py --env lbf-15x15-3p-5f
     python algos/coma.py --watch runs/lbf-15x15-3p-5f/coma-shared/seed0
 """
 
-import envs  # before PyTorch, which then multiplies matrices faster on AMD processors
-from envs import VectorEnv, runs
+from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
+from envs.runs import Team
 
-import sys
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,34 +49,34 @@ import torch
 from torch import Tensor, nn
 
 # What the paper's search chose for each family of tasks, with and without parameter sharing.
-PAPER_BUDGET = "on_policy_timesteps"
+PAPER_BUDGET = "on_policy_timesteps"  # this field of a Task, see envs/tasks.py
 PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
 )
 PAPER = {
-    # family, sharing           dim  rate    rewards  core   entropy target  n_step
-    ("matrix", "shared"):      (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
-    ("matrix", "independent"): (128, 0.0003, "batch", "fc",  0.01,   "soft", 10),
-    ("mpe", "shared"):         (64,  0.0003, "batch", "gru", 0.001,  "hard", 10),
-    ("mpe", "independent"):    (128, 0.0005, "batch", "gru", 0.01,   "soft", 10),
-    ("smac", "shared"):        (128, 0.0005, "batch", "fc",  0.01,   "soft", 5),
-    ("smac", "independent"):   (128, 0.0005, "batch", "gru", 0.01,   "soft", 5),
-    ("lbf", "shared"):         (128, 0.0001, "batch", "gru", 0.001,  "hard", 10),
-    ("lbf", "independent"):    (128, 0.0001, "batch", "gru", 0.001,  "soft", 5),
-    ("rware", "shared"):       (64,  0.0005, "batch", "fc",  0.01,   "soft", 5),
-    ("rware", "independent"):  (64,  0.0005, "none",  "fc",  0.01,   "soft", 5),
+    # family, sharing           dim  rate    rewards core   entropy target  n_step
+    ("matrix", "shared"):      (64,  0.0005, True,   "fc",  0.01,   "soft", 5),
+    ("matrix", "independent"): (128, 0.0003, True,   "fc",  0.01,   "soft", 10),
+    ("mpe", "shared"):         (64,  0.0003, True,   "gru", 0.001,  "hard", 10),
+    ("mpe", "independent"):    (128, 0.0005, True,   "gru", 0.01,   "soft", 10),
+    ("smac", "shared"):        (128, 0.0005, True,   "fc",  0.01,   "soft", 5),
+    ("smac", "independent"):   (128, 0.0005, True,   "gru", 0.01,   "soft", 5),
+    ("lbf", "shared"):         (128, 0.0001, True,   "gru", 0.001,  "hard", 10),
+    ("lbf", "independent"):    (128, 0.0001, True,   "gru", 0.001,  "soft", 5),
+    ("rware", "shared"):       (64,  0.0005, True,   "fc",  0.01,   "soft", 5),
+    ("rware", "independent"):  (64,  0.0005, False,  "fc",  0.01,   "soft", 5),
 }  # fmt: skip
-OTHER = (128, 0.0005, "none", "fc", 0.001, "soft", 5)  # for any other family
+OTHER = (128, 0.0005, False, "fc", 0.001, "soft", 5)  # our choice for all other families
 
 
 @dataclass
-class Args:
+class Args(runs.Flags):
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    seed: int = 0  # decides the first weights, the episodes and the sampled actions
+    seed: int = 0  # decides the first weights, the episodes and all that is drawn
     total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
     num_envs: int = 10  # environments side by side; a batch is one episode of each
-    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # after a time-out: value or 0
+    time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # after a time-out: a value, or 0
     individual_rewards: ClassVar[bool] = False  # no flag: the critic values what all do
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
@@ -83,36 +89,31 @@ class Args:
     entropy_coef: float = 0.001  # weight of the policies' entropy
     max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
     target_update: Literal["hard", "soft"] = "hard"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "batch"  # by batch, or all so far
-    # evaluation
-    eval_points: int = 41  # evaluations at equal distances, the first before training
-    eval_episodes: int = 100  # episodes of an evaluation, or of --watch
-    # run
-    device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
-    threads: int = 1  # CPU threads of PyTorch
-    run_dir: str = ""  # where the run is kept; empty: runs/<task>/<algorithm>-.../seed<seed>
-    resume: bool = False  # go on from the last checkpoint, if there is one
-    watch: str = ""  # play and film the team of this run directory instead of training
-    track: bool = False  # follow the run in Weights & Biases
-    # foreign environments
-    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
-    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
-    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
+    reward_standardisation: bool = True  # to mean 0 and deviation 1 in each batch
+
+
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
+    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
+    task = tasks.task(env)
+    table = task.family, "shared" if parameter_sharing else "independent"
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
+    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
+    chosen["eval_points"] = task.eval_points
+    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
 
 
 # --- networks ---
 class Network(nn.Module):
     """Linear - ReLU - core - Linear. The core is a GRU, or Linear - ReLU.
 
-    Agents that share a network also feed it their one-hot ids. These are never built: since
-    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, an id only adds a column of the weights. Where
-    the state is large this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
+    Where agents share a network, the input of agent i ends with its one-hot id. But since
+    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, it is enough to add a column of the weights. For
+    large states this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
         super().__init__()
-        self.input_sizes = [input_size, n_ids]
+        self.input_size, self.n_ids = input_size, n_ids  # 0 ids where nothing is shared
         self.first = nn.Linear(input_size + n_ids, hidden_dim)
         layer = nn.GRU if core == "gru" else nn.Linear
         self.core = layer(hidden_dim, hidden_dim)
@@ -123,10 +124,10 @@ class Network(nn.Module):
 
         hidden: the GRU's state, [1, env * agent, hidden_dim]; None at the start of an episode.
         """
-        weight, id_weight = self.first.weight.split(self.input_sizes, dim=1)
-        x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
-        if id_weight.numel() > 0:
-            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
+        W_x, W_id = self.first.weight.split([self.input_size, self.n_ids], dim=1)
+        x = nn.functional.linear(x, W_x, self.first.bias)  # [time, env, agent or 1, hidden_dim]
+        if self.n_ids > 0:
+            x = x + W_id.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
             outputs, hidden = self.core(x.flatten(1, 2), hidden)  # [time, env * agent, hidden_dim]
@@ -139,51 +140,34 @@ class MultiAgentNetwork(nn.Module):
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
-        copies = 1 if args.parameter_sharing else n_agents
-        n_ids = n_agents if args.parameter_sharing else 0
-        networks = [Network(inputs, n_ids, args.hidden_dim, outputs, core) for _ in range(copies)]
+        n_networks, n_ids = (1, n_agents) if args.parameter_sharing else (n_agents, 0)
+        sizes = inputs, n_ids, args.hidden_dim, outputs
+        networks = [Network(*sizes, core) for _ in range(n_networks)]
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
+        """x, hidden -> output, hidden as in Network; here hidden has one entry for each network."""
         n = len(self.networks)
-        if hidden is None:
-            hidden = [None] * n
-        if n == 1:
-            output, state = self.networks[0](x, hidden[0])
-            return output, [state]
-        inputs = x.expand(-1, -1, n, -1).split(1, dim=2)  # what each agent sees
-        outputs, states = zip(*(self.networks[i](inputs[i], hidden[i]) for i in range(n)))
-        return torch.cat(outputs, dim=2), list(states)
+        inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
+        outputs, new_hidden = [], []
+        for i, network in enumerate(self.networks):
+            output, state = network(inputs[i], hidden[i] if hidden else None)
+            outputs.append(output)
+            new_hidden.append(state)
+        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
+        return output, new_hidden
 
 
 # --- maths ---
-class RewardStandardiser(nn.Module):
-    """Rewards with mean 0 and standard deviation 1: in each batch, or in all so far ("running")."""
+def standardised(rewards: Tensor, played: Tensor) -> Tensor:
+    """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    def __init__(self, method: str):
-        super().__init__()
-        self.method = method
-        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squares
-
-    def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
-        """rewards: [time, env, 1 or agent]; played: [time, env]. Only played steps are counted."""
-        if self.method == "none":
-            return rewards
-        sample = rewards[played].double()
-        count = sample.numel()
-        mean = sample.mean()
-        squares = (sample - mean).square().sum()
-        if self.method == "running":  # joins the sample with what was seen (Chan et al., 1979)
-            seen_count, seen_mean, seen_squares = self.seen.clone()
-            total = seen_count + count
-            shift = mean - seen_mean
-            squares += seen_squares + shift.square() * seen_count * count / total
-            mean = seen_mean + shift * count / total
-            count = total
-            self.seen.copy_(torch.stack([count, mean, squares]))
-        std = (squares / max(count - 1, 1)).sqrt()  # the standard deviation
-        return ((rewards - mean) / (std + 1e-5)).float()
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
+    """
+    sample = rewards[played].double()  # [step, 1 or agent]
+    mean = sample.mean(0)
+    variance = (sample - mean).square().sum(0) / max(len(sample) - 1, 1)
+    return (rewards - mean.to(rewards)) / (variance.sqrt() + 1e-5).to(rewards)
 
 
 def n_step_returns(
@@ -192,11 +176,11 @@ def n_step_returns(
     """The discounted sum of the next n rewards, plus the discounted value of the state after them.
 
     Where fewer than n are left, the value is that of the last state; or 0, if the game was over.
-    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent]; the last one is after the end;
-    played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
+    rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], of all states, also of the one
+    after the last step; played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
-    after = values[1:].masked_fill(no_bootstrap.unsqueeze(-1), 0.0)
-    values = torch.cat([values[:1], after])
+    values = values.clone()
+    values[1:].masked_fill_(no_bootstrap.unsqueeze(-1), 0.0)  # of states after a real end
     returns = values  # those of 0 steps; each round of the loop makes them one step longer
     for _ in range(min(n, len(rewards))):
         longer = rewards + gamma * returns[1:]
@@ -217,14 +201,6 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
     return (x * played.unsqueeze(-1)).sum() / (played.sum() * x.shape[-1])
 
 
-def explained_variance(values: Tensor, returns: Tensor, played: Tensor) -> Tensor:
-    """The share of the returns' variance that the critic foresees: 1 is all, 0 is nothing.
-
-    Below 0 the returns' mean would foresee more. No finite number if all returns are the same.
-    """
-    return 1 - (returns - values)[played].var() / returns[played].var()
-
-
 def counterfactual_inputs(states: Tensor, actions: Tensor, n_actions: int) -> Tensor:
     """What each agent's critic sees: the state, and the one-hot actions of the others.
 
@@ -241,11 +217,10 @@ def counterfactual_inputs(states: Tensor, actions: Tensor, n_actions: int) -> Te
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick), and
-    the logarithm of an exponential variable is minus such noise.
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
     """
-    minus_gumbel = torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
-    return torch.where(action_masks, logits - minus_gumbel, -torch.inf).argmax(-1)
+    gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
+    return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)
 
 
 # --- experience ---
@@ -257,7 +232,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
+    played: Tensor  # [time, env], bool: False after the end, where only the first row matters
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -283,11 +258,8 @@ class SamplingTeam:
         return sample_actions(logits[0], masks, self.rng).cpu().numpy()
 
 
-Team = SamplingTeam  # what the common code at the end of this file calls it
-
-
-def new_batch(args: Args, env: VectorEnv) -> Batch:
-    """Storage for one episode of each sub-environment."""
+def new_storage(args: Args, env: VectorEnv) -> Batch:
+    """Room for one episode of each environment."""
     steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
     observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
     states = torch.zeros(steps + 1, n_envs, env.state_size)
@@ -305,32 +277,32 @@ def new_batch(args: Args, env: VectorEnv) -> Batch:
 
 
 def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
-    """Plays one whole episode in each sub-environment; those that end early wait for the others.
+    """Plays one whole episode in each environment; those that end early wait for the others.
 
     Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
     batch is a view of `storage`, so it is valid until the next one is collected.
     """
-    rows: Any = Batch._make(x.numpy() for x in storage)  # the same memory, as NumPy arrays
-    rows.observations[0], info = env.reset()
+    arrays: Any = Batch._make(x.numpy() for x in storage)  # the same memory, for NumPy
+    observations, info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
     returns = np.zeros(env.num_envs)
     t = 0
-    while True:
-        rows.states[t] = info["state"]
-        rows.action_masks[t] = info["action_mask"]
-        if ended.all():  # what was written last is the state after the end
-            break
-        rows.actions[t] = team.act(rows.observations[t], info)
-        rows.played[t] = ~ended
-        rows.observations[t + 1], rewards, terminated, truncated, info = env.step(rows.actions[t])
-        rows.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
+    arrays.observations[0], arrays.states[0] = observations, info["state"]
+    arrays.action_masks[0] = info["action_mask"]
+    while not ended.all():
+        actions = team.act(observations, info)
+        arrays.actions[t], arrays.played[t] = actions, ~ended
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
         returns += rewards
         ended = terminated | truncated
-        rows.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
+        arrays.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
         t += 1
-    unused = env.episode_limit - t  # rows, as many in fields of `time` as of `time + 1`
-    return Batch(*(x[: len(x) - unused].to(args.device) for x in storage)), returns
+        arrays.observations[t], arrays.states[t] = observations, info["state"]
+        arrays.action_masks[t] = info["action_mask"]
+    unplayed = env.episode_limit - t  # rows at the end that no episode has reached
+    return Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage), returns
 
 
 # --- update ---
@@ -338,47 +310,50 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # only these: MADDPG's actors learn through its critic
+    loss.backward(inputs=parameters)  # only these: an actor's loss may pass through a critic
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
 
 
 @torch.no_grad()
-def update_target(target: nn.Module, online: nn.Module, method: str, updates: int) -> None:
+def update_target(target: nn.Module, online: nn.Module, method: str, n_updates: int) -> None:
     """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
-    if method == "hard" and updates % 200 != 0:
+    if method == "hard" and n_updates % 200 != 0:
         return
     share = 0.01 if method == "soft" else 1.0
-    for old, new in zip(target.parameters(), online.parameters()):
-        old.lerp_(new, share)
+    for slow, fast in zip(target.parameters(), online.parameters()):
+        slow.lerp_(fast, share)  # slow += share * (fast - slow)
 
 
 def update(
-    args: Args, learner: dict[str, Any], batch: Batch, updates: int, rng: torch.Generator
+    args: Args, parts: dict[str, Any], batch: Batch, n_updates: int, rng: torch.Generator
 ) -> dict[str, Tensor]:
-    """Learns from a batch in update number `updates`, from 1 on. Returns figures for the log."""
-    agents, critic, target_critic = learner["agents"], learner["critic"], learner["target_critic"]
+    """Learns from a batch in update number n_updates, from 1 on. Returns figures for the log."""
+    played = batch.played
+    agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
     logits = agents(batch.observations)[0]  # [time + 1, env, agent, action]
-    # Q' of the state after a time-out needs actions there. Where an environment waits for others,
-    # its agents have gone on acting in `collect`; for the batch's last state they act here.
-    last = sample_actions(logits[-1:].detach(), batch.action_masks[-1:], rng)
-    actions = torch.cat([batch.actions, last])  # [time + 1, env, agent]
+    # Q' of the state after a time-out needs actions there. An environment that waits for others has
+    # them in its first row after the end; in the batch's last state the agents act here.
+    last_actions = sample_actions(logits[-1:].detach(), batch.action_masks[-1:], rng)
+    actions = torch.cat([batch.actions, last_actions])  # [time + 1, env, agent]
     critic_inputs = counterfactual_inputs(batch.states, actions, logits.shape[-1])
-    rewards = learner["standardiser"](batch.rewards, batch.played)
+    rewards = batch.rewards
+    if args.reward_standardisation:
+        rewards = standardised(rewards, played)
     with torch.no_grad():
         target_q_values = target_critic(critic_inputs)[0]  # [time + 1, env, agent, action]
         target_values = target_q_values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
     returns = n_step_returns(
-        rewards, target_values, batch.played, batch.no_bootstrap, args.gamma, args.n_step
+        rewards, target_values, played, batch.no_bootstrap, args.gamma, args.n_step
     )
 
     q_values = critic(critic_inputs[:-1])[0]  # [time, env, agent, action]
     values = q_values.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     errors = (returns - values).square()
     # Summed over agents, as in EPyMARL. Adam hardly notices the factor; clipping begins earlier.
-    critic_loss = played_mean(errors, batch.played) * errors.shape[-1]
-    critic_norm = gradient_step(critic_loss, learner["critic_optimiser"], args.max_grad_norm)
+    critic_loss = played_mean(errors, played) * errors.shape[-1]
+    critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
 
     log_probs = log_probabilities(logits[:-1], batch.action_masks[:-1])
     probs = log_probs.exp()  # [time, env, agent, action]
@@ -386,16 +361,17 @@ def update(
     advantages = (values - baseline).detach()
     log_pi = log_probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     entropy = -(probs * log_probs).sum(-1)
-    actor_loss = -played_mean(advantages * log_pi + args.entropy_coef * entropy, batch.played)
-    actor_norm = gradient_step(actor_loss, learner["actor_optimiser"], args.max_grad_norm)
+    actor_loss = -played_mean(advantages * log_pi + args.entropy_coef * entropy, played)
+    actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
 
-    update_target(target_critic, critic, args.target_update, updates)
+    update_target(target_critic, critic, args.target_update, n_updates)
     with torch.no_grad():
+        unexplained = (returns - values)[played].var()  # not foreseen by the critic
         return {
             "loss/critic": critic_loss,
             "loss/actor": actor_loss,
-            "policy/entropy": played_mean(entropy, batch.played),
-            "value/explained_variance": explained_variance(values, returns, batch.played),
+            "policy/entropy": played_mean(entropy, played),
+            "value/explained_variance": 1 - unexplained / returns[played].var(),
             "gradient/critic_norm": critic_norm,
             "gradient/actor_norm": actor_norm,
         }
@@ -404,157 +380,46 @@ def update(
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)  # PyTorch's global one: draws weights and actions
     env = runs.make_for(args, args.num_envs, args.seed)
     runs.check_one_team(env, "COMA's critic values joint actions by the team's reward")
+    torch.manual_seed(args.seed)  # for the first weights
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     critic_size = env.state_size + env.n_agents * env.n_actions
     critic = MultiAgentNetwork(args, env.n_agents, critic_size, env.n_actions)
-    learner = {  # what a checkpoint keeps
+    parts = {  # what a checkpoint keeps
         "agents": agents,
         "critic": critic,
         "target_critic": deepcopy(critic),
-        "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
         "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
-    team = Team(args, agents, rng)
-    storage = new_batch(args, env)
-    run = Run(args, env, learner, rng)
+    rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
+    run = runs.Run(__file__, args, paper_defaults, env, parts, SamplingTeam, rng)
+    team = SamplingTeam(args, agents, rng)
+    storage = new_storage(args, env)
 
-    run.evaluate_if_due()
+    run.evaluate_if_due()  # the first point comes before training
     while run.timestep < args.total_timesteps:
         batch, returns = collect(args, env, team, storage)
-        run.updates += 1
-        metrics = update(args, learner, batch, run.updates, rng)
-        run.advance(batch, returns, metrics)
+        run.n_updates += 1
+        metrics = update(args, parts, batch, run.n_updates, rng)
+        run.count(batch.played, returns, metrics)  # ends the process if a loss is not finite
+        run.stop_if_asked()  # after Ctrl-C or SIGTERM: saves, and ends the process
         run.evaluate_if_due()
-        if run.directory.save_is_due:
-            run.save()
+        run.save_if_due()
     run.complete()
 
 
-# --- from here on the text is the same in all nine scripts; files are made in envs/runs/ ---
-def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
-    """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
-    observations, info = env.reset(seed=seed)
-    team.reset()
-    totals = envs.EpisodeTotals(env)
-    while not totals.ended.all():
-        actions = team.act(observations, info)
-        observations, rewards, terminated, truncated, info = env.step(actions)
-        totals.add(rewards, terminated, truncated, info)
-    return totals.means()
-
-
-class Run:
-    """One run: its evaluations, checkpoints and log. learner: what has a state_dict, by name."""
-
-    def __init__(self, args: Args, env: VectorEnv, learner: dict[str, Any], rng: torch.Generator):
-        self.args, self.env, self.learner, self.rng = args, env, learner, rng
-        self.timestep = self.updates = 0  # a timestep is a step of one environment
-        self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
-        self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = runs.make_for(args, args.eval_episodes)
-        paper = paper_defaults(args.env, args.parameter_sharing)
-        self.directory = runs.RunDirectory(__file__, args, paper)
-        saved = self.directory.checkpoint()
-        if saved is not None:
-            with runs.fitting_checkpoint(self.directory.path):
-                self.restore(saved)
-        self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
-        self.signals = runs.StopSignals()
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Goes on where a checkpoint was made."""
-        for name, part in self.learner.items():
-            part.load_state_dict(saved["parts"][name])
-        self.rng.set_state(saved["rng"])
-        self.env.episode = saved["episode"]
-        self.timestep, self.updates = saved["timestep"], saved["updates"]
-        self.budget, self.rows = saved["budget"], saved["rows"]
-
-    def save(self) -> None:
-        """Writes a checkpoint, and with it config.json and evaluations.csv."""
-        self.directory.save(
-            rows=self.rows,
-            network=(self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network),
-            parts={name: part.state_dict() for name, part in self.learner.items()},
-            rng=self.rng.get_state(),
-            episode=self.env.episode,  # all that the environments' randomness depends on
-            timestep=self.timestep,
-            updates=self.updates,
-            budget=self.budget,
-        )
-
-    def evaluate_if_due(self) -> None:
-        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
-        steps = min(self.timestep, self.args.total_timesteps)  # no point lies beyond the total
-        # Point p is due at p * budget / (eval_points - 1) steps; in integers nothing is rounded.
-        while len(self.rows) * self.budget <= steps * (self.args.eval_points - 1):
-            point = len(self.rows)  # has a seed of its own: evaluations change nothing in training
-            seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
-            team = Team(self.args, self.learner["agents"], torch.Generator().manual_seed(seed))
-            results = evaluate(self.eval_env, team, seed)
-            seconds = self.directory.seconds()
-            self.rows.append({"point": point, "timestep": self.timestep, **seconds, **results})
-            self.log.evaluation(self.timestep, results)
-            self.save()
-
-    def advance(self, batch: Batch, returns: np.ndarray, metrics: dict[str, Tensor]) -> None:
-        """Counts and logs a batch. returns: of its episodes; metrics: what `update` returned."""
-        lengths = batch.played.sum(0).tolist()  # of each episode
-        self.timestep += sum(lengths)
-        self.log.batch(self.timestep, returns.tolist(), lengths, metrics)
-        if self.signals.received:  # Ctrl-C, for example
-            self.save()
-            self.log.close()
-            self.signals.exit(self.timestep)
-
-    def complete(self) -> None:
-        """Saves the end of the training, and deletes what only a running run needs."""
-        if self.rows[-1]["timestep"] < self.timestep:
-            self.save()
-        self.directory.complete()
-        self.log.close()
-
-
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
-    task = envs.task(env)
-    table = task.family, "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
-    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
-    chosen["eval_points"] = task.eval_points
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
-
-
-def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
+# --- load ---
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> SamplingTeam:
     """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
-        args = Args(**saved["config"]["flags"] | {"device": "cpu"})
+        args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
-
-
-def watch(args: Args) -> None:
-    """Plays what was trained and prints the results, then films the first of the same episodes."""
-    team = load(args.watch, args.seed)
-    env = runs.make_for(team.args, args.eval_episodes, pictures=True)
-    print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
-
-
-def main() -> None:
-    """Trains or plays. Wrong input ends with one sentence and exit code 2."""
-    with runs.one_sentence(__file__):
-        args = runs.parse_flags(Args, paper_defaults, sys.argv[1:], __doc__)
-        runs.keep_freed_memory()
-        torch.set_num_threads(args.threads)
-        watch(args) if args.watch else train(args)
+    return SamplingTeam(args, agents, torch.Generator().manual_seed(seed), greedy)
 
 
 if __name__ == "__main__":
-    main()
+    runs.main(__file__, __doc__, Args, paper_defaults, train, load)

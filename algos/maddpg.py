@@ -1,38 +1,41 @@
+# docs/algorithms/maddpg.md explains every line. benchmark/RESULTS.md has curves and tables.
 """MADDPG: multi-agent deep deterministic policy gradients.
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the state and the actions of all agents, and learns what they
 are worth. The policies follow the critic's gradient towards better actions. So an action needs a
-gradient: it is drawn as a one-hot vector with the gradient of the softmax (Gumbel-softmax).
+gradient: it is drawn as a one-hot vector with the gradient of the softmax of logits plus noise.
 One environment plays one episode. Then actors and critic make one gradient step each, on a batch of
-whole episodes from the replay. Q' and mu' are older or slowly moving copies of both; mu' is greedy.
+whole episodes from the replay. Q' and mu' are older or slowly moving copies of critic and policies.
 
     y_i,t     = r_t + gamma Q'_i(s_{t+1}, mu'_1(o_1,t+1), ..., mu'_n(o_n,t+1))  only r_t at the end
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
-    L(actor)  = mean over agents and steps of - Q_i(s_t, (a_i, a_-i)) + c mean_a logit_i(a)^2
+    L(actor)  = mean over agents and steps of [ c mean_a logit_i(a)^2 - Q_i(s_t, (a_i, a_-i)) ]
 
-r is the team's reward. In L(actor) the present policies draw all actions, a_i with a gradient and
-a_-i without; c, --actor-regularisation, keeps them from becoming certain early.
-With --network gru, o_i,t stands for all that agent i has observed in the episode so far.
+r is the team's reward, and mu' takes the likeliest action. In L(actor) the present policies draw
+all actions, a_i with a gradient and a_-i without; c, --actor-regularisation, keeps them from
+becoming certain early. With --network gru, o_i,t stands for all that agent i has observed in the
+episode so far. With --individual-rewards r is agent i's own, standardised by its own mean.
 
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
 (2017). Unlike there, a_-i in L(actor) does not come from the replay.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As there, a time-out counts as an end, and the replay holds a million
-steps at most (2,000 episodes in RWARE). Their code, EPyMARL, had no such limit, and it counted
-padding, the rows after an episode's end, when it standardised rewards. MADDPG there also left out
-the steps that end an episode, trained on padding, began the target network's GRU one step late, and
-in July 2021 replayed 50,000 episodes in batches of 16 (here 5,000, the paper's number, and 32).
-Without the ends, a run on lbf-8x8-2p-2f-c came to 0.50 at its best (the paper: 0.46); ours to 1.00.
+steps at most (2,000 episodes in RWARE). Their code, EPyMARL (July 2021), had no such limit,
+standardised rewards and trained MADDPG with padding (rows after an episode's end), left out the
+steps that end an episode, began the target's GRU one step late, and replayed 50,000 episodes in
+batches of 16 (here 5,000, as the paper says, and 32).
+
+With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.98 (the most is 1) after 2 million steps and 12
+minutes of one core. Without the ends it came to 0.50 at its best (the paper: 0.46).
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0
 """
 
-import envs  # before PyTorch, which then multiplies matrices faster on AMD processors
-from envs import VectorEnv, runs
+from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
+from envs.runs import Team
 
-import sys
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,33 +46,33 @@ import torch
 from torch import Tensor, nn
 
 # What the paper's search chose for each family of tasks, with and without parameter sharing.
-PAPER_BUDGET = "off_policy_timesteps"
+PAPER_BUDGET = "off_policy_timesteps"  # this field of a Task, see envs/tasks.py
 PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network target_update actor_regularisation"
 )
 PAPER = {
-    # family, sharing           dim  rate    rewards  core   target  regularisation
-    ("matrix", "shared"):      (128, 0.0003, "batch", "fc",  "hard", 0.001),
-    ("matrix", "independent"): (128, 0.0005, "batch", "fc",  "hard", 0.001),
-    ("mpe", "shared"):         (128, 0.0005, "batch", "gru", "hard", 0.001),
-    ("mpe", "independent"):    (128, 0.0005, "batch", "gru", "soft", 0.01),
-    ("smac", "shared"):        (128, 0.0005, "none",  "gru", "soft", 0.01),
-    ("smac", "independent"):   (128, 0.0005, "batch", "fc",  "soft", 0.001),
-    ("lbf", "shared"):         (64,  0.0003, "batch", "fc",  "hard", 0.001),
-    ("lbf", "independent"):    (64,  0.0003, "batch", "fc",  "hard", 0.001),
-    ("rware", "shared"):       (64,  0.0005, "none",  "fc",  "soft", 0.001),
-    ("rware", "independent"):  (64,  0.0005, "none",  "fc",  "soft", 0.001),
+    # family, sharing           dim  rate    rewards core   target  regularisation
+    ("matrix", "shared"):      (128, 0.0003, True,   "fc",  "hard", 0.001),
+    ("matrix", "independent"): (128, 0.0005, True,   "fc",  "hard", 0.001),
+    ("mpe", "shared"):         (128, 0.0005, True,   "gru", "hard", 0.001),
+    ("mpe", "independent"):    (128, 0.0005, True,   "gru", "soft", 0.01),
+    ("smac", "shared"):        (128, 0.0005, False,  "gru", "soft", 0.01),
+    ("smac", "independent"):   (128, 0.0005, True,   "fc",  "soft", 0.001),
+    ("lbf", "shared"):         (64,  0.0003, True,   "fc",  "hard", 0.001),
+    ("lbf", "independent"):    (64,  0.0003, True,   "fc",  "hard", 0.001),
+    ("rware", "shared"):       (64,  0.0005, False,  "fc",  "soft", 0.001),
+    ("rware", "independent"):  (64,  0.0005, False,  "fc",  "soft", 0.001),
 }  # fmt: skip
-OTHER = (128, 0.0005, "none", "fc", "soft", 0.001)  # for any other family
+OTHER = (128, 0.0005, False, "fc", "soft", 0.001)  # our choice for all other families
 
 
 @dataclass
-class Args:
+class Args(runs.Flags):
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
-    seed: int = 0  # decides the first weights, the episodes and the sampled actions
+    seed: int = 0  # decides the first weights, the episodes and all that is drawn
     total_timesteps: int = 2_000_000  # length of the training
-    time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: value or 0
+    time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: a value, or 0
     individual_rewards: bool = False  # each agent learns from its own reward, not from the team's
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
@@ -80,39 +83,34 @@ class Args:
     gamma: float = 0.99  # discount
     actor_regularisation: float = 0.001  # weight of the squared logits
     batch_size: int = 32  # episodes of an update; each new episode brings one update
-    buffer_size: int = 5000  # episodes in the replay, but at most a million steps of them
+    buffer_size: int = 5000  # episodes in the replay; at most a million steps, at least a batch
     max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
     target_update: Literal["hard", "soft"] = "hard"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: Literal["none", "batch", "running"] = "batch"  # by batch, or all so far
-    # evaluation
-    eval_points: int = 41  # evaluations at equal distances, the first before training
-    eval_episodes: int = 100  # episodes of an evaluation, or of --watch
-    # run
-    device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
-    threads: int = 1  # CPU threads of PyTorch
-    run_dir: str = ""  # where the run is kept; empty: runs/<task>/<algorithm>-.../seed<seed>
-    resume: bool = False  # go on from the last checkpoint, if there is one
-    watch: str = ""  # play and film the team of this run directory instead of training
-    track: bool = False  # follow the run in Weights & Biases
-    # foreign environments
-    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
-    max_episode_steps: int = 0  # cut episodes of a pettingzoo: or gymnasium: one here (0: do not)
-    flatten_images: bool = False  # make vectors of the images of a pettingzoo: or gymnasium: one
-    env_workers: int = 0  # processes that play a pettingzoo: or gymnasium: one (0: this one)
+    reward_standardisation: bool = True  # to mean 0 and deviation 1 in each batch
+
+
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
+    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
+    task = tasks.task(env)
+    table = task.family, "shared" if parameter_sharing else "independent"
+    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
+    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
+    chosen["eval_points"] = task.eval_points
+    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
 
 
 # --- networks ---
 class Network(nn.Module):
     """Linear - ReLU - core - Linear. The core is a GRU, or Linear - ReLU.
 
-    Agents that share a network also feed it their one-hot ids. These are never built: since
-    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, an id only adds a column of the weights. Where
-    the state is large this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
+    Where agents share a network, the input of agent i ends with its one-hot id. But since
+    W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, it is enough to add a column of the weights. For
+    large states this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
         super().__init__()
-        self.input_sizes = [input_size, n_ids]
+        self.input_size, self.n_ids = input_size, n_ids  # 0 ids where nothing is shared
         self.first = nn.Linear(input_size + n_ids, hidden_dim)
         layer = nn.GRU if core == "gru" else nn.Linear
         self.core = layer(hidden_dim, hidden_dim)
@@ -123,10 +121,10 @@ class Network(nn.Module):
 
         hidden: the GRU's state, [1, env * agent, hidden_dim]; None at the start of an episode.
         """
-        weight, id_weight = self.first.weight.split(self.input_sizes, dim=1)
-        x = nn.functional.linear(x, weight, self.first.bias)  # [time, env, agent or 1, hidden_dim]
-        if id_weight.numel() > 0:
-            x = x + id_weight.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
+        W_x, W_id = self.first.weight.split([self.input_size, self.n_ids], dim=1)
+        x = nn.functional.linear(x, W_x, self.first.bias)  # [time, env, agent or 1, hidden_dim]
+        if self.n_ids > 0:
+            x = x + W_id.T.contiguous()  # [time, env, agent, hidden_dim]; faster than a view
         x = torch.relu(x)
         if isinstance(self.core, nn.GRU):
             outputs, hidden = self.core(x.flatten(1, 2), hidden)  # [time, env * agent, hidden_dim]
@@ -139,51 +137,34 @@ class MultiAgentNetwork(nn.Module):
 
     def __init__(self, args: Args, n_agents: int, inputs: int, outputs: int, core: str = "fc"):
         super().__init__()
-        copies = 1 if args.parameter_sharing else n_agents
-        n_ids = n_agents if args.parameter_sharing else 0
-        networks = [Network(inputs, n_ids, args.hidden_dim, outputs, core) for _ in range(copies)]
+        n_networks, n_ids = (1, n_agents) if args.parameter_sharing else (n_agents, 0)
+        sizes = inputs, n_ids, args.hidden_dim, outputs
+        networks = [Network(*sizes, core) for _ in range(n_networks)]
         self.networks = nn.ModuleList(networks).to(args.device)
 
     def forward(self, x: Tensor, hidden: list | None = None) -> tuple[Tensor, list]:
-        """x -> outputs, as in Network, and the networks' states; hidden: the states before."""
+        """x, hidden -> output, hidden as in Network; here hidden has one entry for each network."""
         n = len(self.networks)
-        if hidden is None:
-            hidden = [None] * n
-        if n == 1:
-            output, state = self.networks[0](x, hidden[0])
-            return output, [state]
-        inputs = x.expand(-1, -1, n, -1).split(1, dim=2)  # what each agent sees
-        outputs, states = zip(*(self.networks[i](inputs[i], hidden[i]) for i in range(n)))
-        return torch.cat(outputs, dim=2), list(states)
+        inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
+        outputs, new_hidden = [], []
+        for i, network in enumerate(self.networks):
+            output, state = network(inputs[i], hidden[i] if hidden else None)
+            outputs.append(output)
+            new_hidden.append(state)
+        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
+        return output, new_hidden
 
 
 # --- maths ---
-class RewardStandardiser(nn.Module):
-    """Rewards with mean 0 and standard deviation 1: in each batch, or in all so far ("running")."""
+def standardised(rewards: Tensor, played: Tensor) -> Tensor:
+    """Rewards with mean 0 and standard deviation 1 over the played steps of a batch.
 
-    def __init__(self, method: str):
-        super().__init__()
-        self.method = method
-        self.seen = nn.Buffer(torch.zeros(3, dtype=torch.float64))  # count, mean, sum of squares
-
-    def forward(self, rewards: Tensor, played: Tensor) -> Tensor:
-        """rewards: [time, env, 1 or agent]; played: [time, env]. Only played steps are counted."""
-        if self.method == "none":
-            return rewards
-        sample = rewards[played].double()
-        count = sample.numel()
-        mean = sample.mean()
-        squares = (sample - mean).square().sum()
-        if self.method == "running":  # joins the sample with what was seen (Chan et al., 1979)
-            seen_count, seen_mean, seen_squares = self.seen.clone()
-            total = seen_count + count
-            shift = mean - seen_mean
-            squares += seen_squares + shift.square() * seen_count * count / total
-            mean = seen_mean + shift * count / total
-            count = total
-            self.seen.copy_(torch.stack([count, mean, squares]))
-        std = (squares / max(count - 1, 1)).sqrt()  # the standard deviation
-        return ((rewards - mean) / (std + 1e-5)).float()
+    rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
+    """
+    sample = rewards[played].double()  # [step, 1 or agent]
+    mean = sample.mean(0)
+    variance = (sample - mean).square().sum(0) / max(len(sample) - 1, 1)
+    return (rewards - mean.to(rewards)) / (variance.sqrt() + 1e-5).to(rewards)
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
@@ -194,11 +175,23 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick), and
-    the logarithm of an exponential variable is minus such noise.
+    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
     """
-    minus_gumbel = torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
-    return torch.where(action_masks, logits - minus_gumbel, -torch.inf).argmax(-1)
+    gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
+    return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)
+
+
+def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
+    """log pi(. | o), [..., action]. Not -inf for masked actions, so p log p is 0 and not NaN."""
+    logits = torch.where(action_masks, logits, torch.finfo(logits.dtype).min)
+    return logits - logits.logsumexp(-1, keepdim=True)
+
+
+def gumbel_softmax(logits: Tensor, rng: torch.Generator) -> Tensor:
+    """One-hot draws with the gradient of the softmax of logits plus noise (Jang et al., 2017)."""
+    gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
+    soft = (logits + gumbel).softmax(-1)
+    return nn.functional.one_hot(soft.argmax(-1), soft.shape[-1]) - soft.detach() + soft
 
 
 def with_joint_actions(states: Tensor, joint: Tensor) -> Tensor:
@@ -221,7 +214,7 @@ class Batch(NamedTuple):
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
-    played: Tensor  # [time, env], bool: False after the end; there other fields may hold anything
+    played: Tensor  # [time, env], bool: False after the end, where only the first row matters
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
@@ -247,11 +240,8 @@ class SamplingTeam:
         return sample_actions(logits[0], masks, self.rng).cpu().numpy()
 
 
-Team = SamplingTeam  # what the common code at the end of this file calls it
-
-
-def new_batch(args: Args, env: VectorEnv) -> Batch:
-    """Storage for one episode of each sub-environment."""
+def new_storage(args: Args, env: VectorEnv) -> Batch:
+    """Room for one episode of each environment."""
     steps, n_envs, n_agents = env.episode_limit, env.num_envs, env.n_agents
     observations = torch.zeros(steps + 1, n_envs, n_agents, env.obs_size)
     states = torch.zeros(steps + 1, n_envs, env.state_size)
@@ -269,44 +259,44 @@ def new_batch(args: Args, env: VectorEnv) -> Batch:
 
 
 def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
-    """Plays one whole episode in each sub-environment; those that end early wait for the others.
+    """Plays one whole episode in each environment; those that end early wait for the others.
 
     Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
     batch is a view of `storage`, so it is valid until the next one is collected.
     """
-    rows: Any = Batch._make(x.numpy() for x in storage)  # the same memory, as NumPy arrays
-    rows.observations[0], info = env.reset()
+    arrays: Any = Batch._make(x.numpy() for x in storage)  # the same memory, for NumPy
+    observations, info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
     returns = np.zeros(env.num_envs)
     t = 0
-    while True:
-        rows.states[t] = info["state"]
-        rows.action_masks[t] = info["action_mask"]
-        if ended.all():  # what was written last is the state after the end
-            break
-        rows.actions[t] = team.act(rows.observations[t], info)
-        rows.played[t] = ~ended
-        rows.observations[t + 1], rewards, terminated, truncated, info = env.step(rows.actions[t])
-        rows.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
+    arrays.observations[0], arrays.states[0] = observations, info["state"]
+    arrays.action_masks[0] = info["action_mask"]
+    while not ended.all():
+        actions = team.act(observations, info)
+        arrays.actions[t], arrays.played[t] = actions, ~ended
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
         returns += rewards
         ended = terminated | truncated
-        rows.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
+        arrays.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
         t += 1
-    unused = env.episode_limit - t  # rows, as many in fields of `time` as of `time + 1`
-    return Batch(*(x[: len(x) - unused].to(args.device) for x in storage)), returns
+        arrays.observations[t], arrays.states[t] = observations, info["state"]
+        arrays.action_masks[t] = info["action_mask"]
+    unplayed = env.episode_limit - t  # rows at the end that no episode has reached
+    return Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage), returns
 
 
 class Replay:
     """The last episodes, kept on the disk by envs/runs/, and the batches drawn from them."""
 
-    def __init__(self, args: Args, env: VectorEnv, storage: Batch, path: Path):
+    def __init__(self, args: Args, env: VectorEnv, storage: Batch, run: runs.Run):
         self.args, self.env = args, env  # the environment counts the episodes
         self.size = max(min(args.buffer_size, 1_000_000 // env.episode_limit), args.batch_size)
         fields = {name: x[:, 0].numpy() for name, x in storage._asdict().items()}
         if env.state_is_observations:
             del fields["states"]  # `sample` makes them again
-        self.file = runs.EpisodeFile(path, fields, self.size, env.episode)
+        self.file = run.episode_file(fields, self.size)
 
     def add(self, batch: Batch) -> None:
         """Adds the one episode of a batch, the last that the environment has played."""
@@ -330,28 +320,32 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # only these: MADDPG's actors learn through its critic
+    loss.backward(inputs=parameters)  # only these: an actor's loss may pass through a critic
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
 
 
 @torch.no_grad()
-def update_target(target: nn.Module, online: nn.Module, method: str, updates: int) -> None:
+def update_target(target: nn.Module, online: nn.Module, method: str, n_updates: int) -> None:
     """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
-    if method == "hard" and updates % 200 != 0:
+    if method == "hard" and n_updates % 200 != 0:
         return
     share = 0.01 if method == "soft" else 1.0
-    for old, new in zip(target.parameters(), online.parameters()):
-        old.lerp_(new, share)
+    for slow, fast in zip(target.parameters(), online.parameters()):
+        slow.lerp_(fast, share)  # slow += share * (fast - slow)
 
 
-def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> dict[str, Tensor]:
-    """Learns from a batch in update number `updates`, from 1 on. Returns figures for the log."""
-    agents, target_agents = learner["agents"], learner["target_agents"]
-    critic, target_critic = learner["critic"], learner["target_critic"]
+def update(
+    args: Args, parts: dict[str, Any], batch: Batch, n_updates: int, rng: torch.Generator
+) -> dict[str, Tensor]:
+    """Learns from a batch in update number n_updates, from 1 on. Returns figures for the log."""
+    agents, target_agents = parts["agents"], parts["target_agents"]
+    critic, target_critic = parts["critic"], parts["target_critic"]
     n_agents, n_actions = batch.action_masks.shape[2:]
-    rewards = learner["standardiser"](batch.rewards, batch.played)
+    rewards = batch.rewards
+    if args.reward_standardisation:
+        rewards = standardised(rewards, batch.played)
     with torch.no_grad():
         logits = target_agents(batch.observations)[0]  # [time + 1, env, agent, action]
         greedy = torch.where(batch.action_masks, logits, -torch.inf).argmax(-1)
@@ -361,27 +355,25 @@ def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> d
         next_values = next_values.masked_fill(batch.no_bootstrap.unsqueeze(-1), 0.0)
         targets = rewards + args.gamma * next_values
 
-    taken = nn.functional.one_hot(batch.actions, n_actions)  # [time, env, agent, action]
-    critic_inputs = with_joint_actions(batch.states[:-1], taken.unsqueeze(2))
+    actions = nn.functional.one_hot(batch.actions, n_actions)  # [time, env, agent, action]
+    critic_inputs = with_joint_actions(batch.states[:-1], actions.unsqueeze(2))
     values = critic(critic_inputs)[0].squeeze(-1)  # [time, env, agent]
     critic_loss = played_mean((targets - values).square(), batch.played)
-    critic_norm = gradient_step(critic_loss, learner["critic_optimiser"], args.max_grad_norm)
+    critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
 
     logits = agents(batch.observations[:-1])[0]  # [time, env, agent, action]
-    masks = batch.action_masks[:-1]
-    available = logits.masked_fill(~masks, -1e9)  # not -inf: beyond an end all are masked
-    log_probs = available - available.logsumexp(-1, keepdim=True)
-    drawn = nn.functional.gumbel_softmax(log_probs, hard=True)  # noise: `rng` of `train`, on a CPU
+    log_probs = log_probabilities(logits, batch.action_masks[:-1])
+    drawn = gumbel_softmax(log_probs, rng)  # [time, env, agent, action]
     # Critic i passes its gradient to agent i's own action alone.
     own = torch.eye(n_agents, dtype=torch.bool, device=logits.device).unsqueeze(-1)  # [i, j, 1]
     joint = torch.where(own, drawn.unsqueeze(2), drawn.detach().unsqueeze(2))  # [..., i, j, action]
     actor_values = critic(with_joint_actions(batch.states[:-1], joint))[0].squeeze(-1)
-    squares = (logits * masks).square().mean(-1)  # [time, env, agent]; masked logits count as 0
+    squares = (logits * batch.action_masks[:-1]).square().mean(-1)  # masked logits count as 0
     actor_loss = played_mean(args.actor_regularisation * squares - actor_values, batch.played)
-    actor_norm = gradient_step(actor_loss, learner["actor_optimiser"], args.max_grad_norm)
+    actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
 
-    update_target(target_agents, agents, args.target_update, updates)
-    update_target(target_critic, critic, args.target_update, updates)
+    update_target(target_agents, agents, args.target_update, n_updates)
+    update_target(target_critic, critic, args.target_update, n_updates)
     with torch.no_grad():
         entropy = -(log_probs.exp() * log_probs).sum(-1)
         return {
@@ -398,163 +390,51 @@ def update(args: Args, learner: dict[str, Any], batch: Batch, updates: int) -> d
 # --- train ---
 def train(args: Args) -> None:
     """Trains a team on a task."""
-    rng = torch.manual_seed(args.seed)  # PyTorch's global one: draws weights and actions
     env = runs.make_for(args, 1, args.seed)
     runs.check_teams(env, args.individual_rewards, args.parameter_sharing)
+    torch.manual_seed(args.seed)  # for the first weights
     agents = MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
     critic = MultiAgentNetwork(args, env.n_agents, env.state_size + env.n_agents * env.n_actions, 1)
-    learner = {  # what a checkpoint keeps
+    parts = {  # what a checkpoint keeps
         "agents": agents,
         "target_agents": deepcopy(agents).to(args.device),  # .to joins a GRU's weights, for cuDNN
         "critic": critic,
         "target_critic": deepcopy(critic),
-        "standardiser": RewardStandardiser(args.reward_standardisation).to(args.device),
         "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
-    team = Team(args, agents, rng)
-    storage = new_batch(args, env)
-    run = Run(args, env, learner, rng)
+    rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
+    run = runs.Run(__file__, args, paper_defaults, env, parts, SamplingTeam, rng)
+    team = SamplingTeam(args, agents, rng)
+    storage = new_storage(args, env)
     if run.timestep < args.total_timesteps:  # a complete run has no replay any more
-        replay = Replay(args, env, storage, run.directory.path / "replay.bin")
-        learner["replay"] = replay.file
+        replay = Replay(args, env, storage, run)
 
-    run.evaluate_if_due()
+    run.evaluate_if_due()  # the first point comes before training
     while run.timestep < args.total_timesteps:
         episode, returns = collect(args, env, team, storage)
         replay.add(episode)
         metrics = {}
         if env.episode >= args.batch_size:  # the replay holds a batch
-            run.updates += 1
-            metrics = update(args, learner, replay.sample(rng), run.updates)
-        run.advance(episode, returns, metrics)
+            run.n_updates += 1
+            metrics = update(args, parts, replay.sample(rng), run.n_updates, rng)
+        run.count(episode.played, returns, metrics)  # ends the process if a loss is not finite
+        run.stop_if_asked()  # after Ctrl-C or SIGTERM: saves, and ends the process
         run.evaluate_if_due()
-        if env.episode % replay.file.checkpoint_every == 0 or run.directory.save_is_due:
-            run.save()  # before a slot of the replay that the last checkpoint needs is used again
+        run.save_if_due()
     run.complete()
 
 
-# --- from here on the text is the same in all nine scripts; files are made in envs/runs/ ---
-def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
-    """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
-    observations, info = env.reset(seed=seed)
-    team.reset()
-    totals = envs.EpisodeTotals(env)
-    while not totals.ended.all():
-        actions = team.act(observations, info)
-        observations, rewards, terminated, truncated, info = env.step(actions)
-        totals.add(rewards, terminated, truncated, info)
-    return totals.means()
-
-
-class Run:
-    """One run: its evaluations, checkpoints and log. learner: what has a state_dict, by name."""
-
-    def __init__(self, args: Args, env: VectorEnv, learner: dict[str, Any], rng: torch.Generator):
-        self.args, self.env, self.learner, self.rng = args, env, learner, rng
-        self.timestep = self.updates = 0  # a timestep is a step of one environment
-        self.budget = args.total_timesteps  # at the first start; spaces the evaluations for good
-        self.rows: list[dict[str, float]] = []  # of evaluations.csv
-        self.eval_env = runs.make_for(args, args.eval_episodes)
-        paper = paper_defaults(args.env, args.parameter_sharing)
-        self.directory = runs.RunDirectory(__file__, args, paper)
-        saved = self.directory.checkpoint()
-        if saved is not None:
-            with runs.fitting_checkpoint(self.directory.path):
-                self.restore(saved)
-        self.log = runs.Log(self.directory.path, args, self.timestep, resumed=saved is not None)
-        self.signals = runs.StopSignals()
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Goes on where a checkpoint was made."""
-        for name, part in self.learner.items():
-            part.load_state_dict(saved["parts"][name])
-        self.rng.set_state(saved["rng"])
-        self.env.episode = saved["episode"]
-        self.timestep, self.updates = saved["timestep"], saved["updates"]
-        self.budget, self.rows = saved["budget"], saved["rows"]
-
-    def save(self) -> None:
-        """Writes a checkpoint, and with it config.json and evaluations.csv."""
-        self.directory.save(
-            rows=self.rows,
-            network=(self.env.n_agents, self.env.obs_size, self.env.n_actions, self.args.network),
-            parts={name: part.state_dict() for name, part in self.learner.items()},
-            rng=self.rng.get_state(),
-            episode=self.env.episode,  # all that the environments' randomness depends on
-            timestep=self.timestep,
-            updates=self.updates,
-            budget=self.budget,
-        )
-
-    def evaluate_if_due(self) -> None:
-        """Evaluates and saves when the steps have reached or passed the next evaluation point."""
-        steps = min(self.timestep, self.args.total_timesteps)  # no point lies beyond the total
-        # Point p is due at p * budget / (eval_points - 1) steps; in integers nothing is rounded.
-        while len(self.rows) * self.budget <= steps * (self.args.eval_points - 1):
-            point = len(self.rows)  # has a seed of its own: evaluations change nothing in training
-            seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
-            team = Team(self.args, self.learner["agents"], torch.Generator().manual_seed(seed))
-            results = evaluate(self.eval_env, team, seed)
-            seconds = self.directory.seconds()
-            self.rows.append({"point": point, "timestep": self.timestep, **seconds, **results})
-            self.log.evaluation(self.timestep, results)
-            self.save()
-
-    def advance(self, batch: Batch, returns: np.ndarray, metrics: dict[str, Tensor]) -> None:
-        """Counts and logs a batch. returns: of its episodes; metrics: what `update` returned."""
-        lengths = batch.played.sum(0).tolist()  # of each episode
-        self.timestep += sum(lengths)
-        self.log.batch(self.timestep, returns.tolist(), lengths, metrics)
-        if self.signals.received:  # Ctrl-C, for example
-            self.save()
-            self.log.close()
-            self.signals.exit(self.timestep)
-
-    def complete(self) -> None:
-        """Saves the end of the training, and deletes what only a running run needs."""
-        if self.rows[-1]["timestep"] < self.timestep:
-            self.save()
-        self.directory.complete()
-        self.log.close()
-
-
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
-    task = envs.task(env)
-    table = task.family, "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
-    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
-    chosen["eval_points"] = task.eval_points
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
-
-
-def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
+# --- load ---
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> SamplingTeam:
     """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
-        args = Args(**saved["config"]["flags"] | {"device": "cpu"})
+        args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
-
-
-def watch(args: Args) -> None:
-    """Plays what was trained and prints the results, then films the first of the same episodes."""
-    team = load(args.watch, args.seed)
-    env = runs.make_for(team.args, args.eval_episodes, pictures=True)
-    print(runs.in_words(evaluate(env, team, args.seed)), flush=True)
-    print(envs.film(env, load(args.watch, args.seed), args.seed, Path(args.watch, "film.gif")))
-
-
-def main() -> None:
-    """Trains or plays. Wrong input ends with one sentence and exit code 2."""
-    with runs.one_sentence(__file__):
-        args = runs.parse_flags(Args, paper_defaults, sys.argv[1:], __doc__)
-        runs.keep_freed_memory()
-        torch.set_num_threads(args.threads)
-        watch(args) if args.watch else train(args)
+    return SamplingTeam(args, agents, torch.Generator().manual_seed(seed), greedy)
 
 
 if __name__ == "__main__":
-    main()
+    runs.main(__file__, __doc__, Args, paper_defaults, train, load)

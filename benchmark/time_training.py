@@ -7,7 +7,7 @@ networks alone - forward and backward of each trained network on random inputs o
 algorithm passes over a batch, and the target networks' forward; no optimiser, no loss but a mean square. Loop and
 passes take turns, so that a noisy machine treats them alike. The parts of the loop are timed in it.
 
-On AMD processors there is a line with MKL's fast kernels (envs/fast_mkl.py) and one without them, again in turns.
+On AMD processors there is a line with MKL's fast kernels (envs/runs/fast_mkl.py) and one without them, again in turns.
 """
 
 import argparse
@@ -25,7 +25,6 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from envs import runs  # isort: skip (before PyTorch, as in the scripts)
@@ -33,8 +32,7 @@ import torch
 from torch import nn
 
 from campaign.scripts import load_script, script_names
-from envs import fast_mkl
-from envs.runs import one_sentence
+from envs.runs import fast_mkl, one_sentence
 
 TURNS = 3
 Timer = Callable[[], float]
@@ -99,12 +97,12 @@ class TimedRun:
 
     def __init__(self, module: Any, seconds: float, path: Path, timer: Timer):
         self.module, self.seconds, self.timer = module, seconds, timer
-        self.directory = SimpleNamespace(path=path, save_is_due=False)
+        self.path = path
         self.rates: list[float] = []
         self.reference_rates: list[float] = []
-        self.updates = 0
+        self.n_updates = 0
 
-    def __call__(self, args: Any, env: Any, parts: Any, rng: Any) -> "TimedRun":
+    def __call__(self, script: Any, args: Any, paper_defaults: Any, env: Any, *others: Any) -> "TimedRun":
         self.env, self.passes = env, reference_passes(self.module, args, env)
         self.end = self.timer() + self.seconds
         return self
@@ -118,19 +116,24 @@ class TimedRun:
         """Nothing is evaluated; the next batch begins here."""
         self.started = self.timer()
 
-    def advance(self, batch: Any, returns: Any, metrics: Any) -> None:
-        steps = int(batch.played.sum())
+    def count(self, played: Any, returns: Any, metrics: Any) -> None:
+        """The batch has been learnt from; the reference passes have their turn."""
+        steps = int(played.sum())
         between = self.timer()
         self.passes()
         passed = self.timer()
-        if self.updates > 5:  # the first batches warm up
+        if self.n_updates > 5:  # the first batches warm up
             self.rates.append(steps / (between - self.started))
             self.reference_rates.append(self.env.num_envs * self.env.episode_limit / (passed - between))
 
-    def save(self) -> None:
+    def episode_file(self, fields: Any, size: int) -> runs.EpisodeFile:
+        """A replay's file, which a benchmark does not keep."""
+        return runs.EpisodeFile(self.path / "replay.bin", fields, size, 0)
+
+    def save_if_due(self) -> None:
         """A benchmark keeps nothing."""
 
-    complete = save
+    stop_if_asked = complete = save_if_due
 
 
 def timed(function: Callable, seconds: dict[str, list[float]], name: str, timer: Timer) -> Callable:
@@ -168,19 +171,19 @@ def measure(name: str, flags: list[str], seconds: float, timer: Timer = time.per
     parts: dict[str, list[float]] = defaultdict(list)
     module.collect = timed(module.collect, parts, "acting", timer)
     module.update = timed(module.update, parts, "update", timer)
-    make = module.runs.make_for
+    make, run = runs.make_for, runs.Run
 
     def make_timed(*args: Any, **kwargs: Any) -> Any:
-        env = make(*args, **kwargs)
+        env: Any = make(*args, **kwargs)
         env.step = timed(env.step, parts, "step", timer)
         return env
 
-    module.runs.make_for = make_timed
     with tempfile.TemporaryDirectory() as directory:
-        timed_run = module.Run = TimedRun(module, seconds, Path(directory), timer)
+        timed_run: Any = TimedRun(module, seconds, Path(directory), timer)
+        module.runs.make_for, module.runs.Run = make_timed, timed_run
         with contextlib.redirect_stderr(io.StringIO()):  # what a replay takes, which is cut here
             module.train(args)
-    module.runs.make_for = make
+    module.runs.make_for, module.runs.Run = make, run
     rate, reference = statistics.median(timed_run.rates), statistics.median(timed_run.reference_rates)
     acting, update = statistics.median(parts["acting"]), statistics.median(parts["update"])
     stepping = statistics.median(parts["step"]) * len(parts["step"]) / len(parts["acting"])

@@ -148,25 +148,28 @@ def train(task: str, seed: int, directory: Path) -> None:
     module: Any = load_script("maddpg")
     kept = directory.with_name(f"{directory.name}-candidates")
 
-    class KeepsCandidates(module.Run):
-        def __init__(self, *parts: Any) -> None:
-            super().__init__(*parts)
+    class KeepsCandidates(runs.Run):
+        def __init__(self, *what: Any) -> None:
+            super().__init__(*what)
             self.signals.advice = "the same command goes on"
 
         def save(self) -> None:
             super().save()
             if self.rows[-1]["timestep"] == self.timestep:
                 kept.mkdir(exist_ok=True)
-                np.savez(kept / f"{self.timestep}.npz", **network(self.learner["agents"], opponent_of(task))._asdict())
+                np.savez(kept / f"{self.timestep}.npz", **network(self.parts["agents"], opponent_of(task))._asdict())
 
-    module.Run = KeepsCandidates
     flags = ["--env", f"{task}-selfplay", "--individual-rewards", "--no-parameter-sharing", "--network", "fc"]
     flags += ["--seed", str(seed), "--run-dir", str(directory), "--resume"]
     for name, value in TRAININGS[task]._asdict().items():
         flags += [f"--{name.replace('_', '-')}", str(value)]
     runs.keep_freed_memory()
     torch.set_num_threads(1)
-    module.train(runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__))
+    usual, module.runs.Run = runs.Run, KeepsCandidates
+    try:
+        module.train(runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__))
+    finally:
+        module.runs.Run = usual
 
 
 def candidates(task: str, directory: Path) -> list[dict[str, Any]]:

@@ -4,8 +4,7 @@
     observations, info = env.reset()
     observations, rewards, terminated, truncated, info = env.step(actions)
 
-`envs.vector` states the contract of an environment, and `envs.tasks` the grammar of the names. PyTorch, imported after
-this module, multiplies matrices faster on AMD processors (`envs.fast_mkl`).
+`envs.vector` states the contract of an environment, and `envs.tasks` the grammar of the names.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from collections.abc import Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from envs import fast_mkl  # noqa: F401 (it must come before whatever imports PyTorch)
 from envs.adapters import as_gymnasium
 from envs.adapters.foreign import import_module, parse_kwargs
 from envs.tasks import Task, task, task_names

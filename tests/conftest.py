@@ -1,6 +1,6 @@
 """For all tests."""
 
-import envs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are computed as there)
+from envs import runs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are as there)
 import signal
 from pathlib import Path
 

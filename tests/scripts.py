@@ -4,12 +4,12 @@ import importlib.util
 import sys
 import tempfile
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
+from envs import runs  # isort: skip (before PyTorch, as in the scripts)
 import torch
 
 import envs
-from envs import runs
 
 torch.set_num_threads(1)  # as the scripts do: tiny networks, and tests run side by side
 
@@ -43,15 +43,21 @@ def script(name: str) -> ModuleType:
     return sys.modules[name]
 
 
+def main(name: str) -> None:
+    """The program of a script, in this process."""
+    module = script(name)
+    runs.main(str(module.__file__), module.__doc__, module.Args, module.paper_defaults, module.train, module.load)
+
+
 class FakeRun:
-    """Stands for a script's Run: notes the parts that `train` builds, and lets it collect some batches."""
+    """Stands for runs.Run: notes the parts that `train` builds, and lets it collect some batches."""
 
     def __init__(self, batches: int):
-        self.left, self.steps, self.updates = batches, 0, 0
+        self.left, self.steps, self.n_updates = batches, 0, 0
         self.folder = tempfile.TemporaryDirectory()  # gone with this object
-        self.directory = SimpleNamespace(path=Path(self.folder.name), save_is_due=False)
+        self.path = Path(self.folder.name)
 
-    def __call__(self, args, env, parts, rng):
+    def __call__(self, script, args, paper_defaults, env, parts, team_class, rng):
         self.args, self.env, self.parts, self.rng = args, env, parts, rng
         return self
 
@@ -60,25 +66,25 @@ class FakeRun:
         """Beyond every budget when enough batches have been collected."""
         return self.steps if self.left > 0 else float("inf")
 
-    def evaluate_if_due(self) -> None:
-        """Nothing is evaluated."""
+    def episode_file(self, fields, size) -> runs.EpisodeFile:
+        return runs.EpisodeFile(self.path / "replay.bin", fields, size, self.env.episode)
 
-    def advance(self, batch, returns, metrics) -> None:
-        assert batch.played.any() and len(returns) == self.env.num_envs
-        self.steps += int(batch.played.sum())
+    def count(self, played, returns, metrics) -> None:
+        assert played.any() and len(returns) == self.env.num_envs
+        self.steps += int(played.sum())
         self.left -= 1
         self.metrics = metrics
 
-    def save(self) -> None:
-        """Nothing is kept."""
+    def evaluate_if_due(self) -> None:
+        """Nothing is evaluated, saved or stopped."""
 
-    complete = save
+    stop_if_asked = save_if_due = complete = evaluate_if_due
 
 
 def trained(monkeypatch, name: str, batches: int, env: str = "lbf-5x5-2p-1f", **flags) -> FakeRun:
     """What `train` of a script builds and has changed after some batches; no file stays."""
     module, run = script(name), FakeRun(batches)
-    monkeypatch.setattr(module, "Run", run)
+    monkeypatch.setattr(runs, "Run", run)
     args = module.paper_defaults(env, flags.pop("parameter_sharing", True))
     for flag, value in flags.items():
         assert hasattr(args, flag)
@@ -103,6 +109,7 @@ __all__ = [
     "FakeRun",
     "envs",
     "load_module",
+    "main",
     "parse",
     "script",
     "trained",

@@ -52,11 +52,13 @@ def step_by_step(agents, observations):
 
 def slow_rewards(args, batch):
     """Rewards [time, env, agent], of the team or of each, standardised over what was played."""
-    rewards = batch.rewards.expand(-1, -1, N_AGENTS)
-    if args.reward_standardisation == "none":
-        return rewards
-    seen = [float(x) for e, length in enumerate(LENGTHS) for x in batch.rewards[:length, e].flatten()]
-    return (rewards - np.mean(seen)) / (np.std(seen, ddof=1) + 1e-5)
+    if not args.reward_standardisation:
+        return batch.rewards.expand(-1, -1, N_AGENTS)
+    standardised = torch.zeros_like(batch.rewards)
+    for i in range(batch.rewards.shape[-1]):
+        seen = [float(x) for e, length in enumerate(LENGTHS) for x in batch.rewards[:length, e, i]]
+        standardised[..., i] = (batch.rewards[..., i] - np.mean(seen)) / (np.std(seen, ddof=1) + 1e-5)
+    return standardised.expand(-1, -1, N_AGENTS)
 
 
 def slow_step(optimiser, loss, max_grad_norm):
@@ -79,7 +81,7 @@ def slow_target(target, online):
 
 def assert_learnt_alike(parts, slow, start):
     """All networks are those of the slow computation, and have moved from the start."""
-    for part in [x for x in parts if isinstance(parts[x], torch.nn.Module) and x != "standardiser"]:
+    for part in [x for x in parts if isinstance(parts[x], torch.nn.Module)]:
         moved = 0.0
         for ours, theirs, before in zip(parts[part].parameters(), slow[part].parameters(), start[part].parameters()):
             torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5)

@@ -12,11 +12,11 @@ TASKS = [  # of each family, and what is special in it: unequal agents, opposing
 
 def few_updates(monkeypatch, name, task, sharing, **flags):
     """Two batches of one or two episodes; all figures are finite, and the agents have learned something."""
-    flags |= {"hidden_dim": 8, "network": "gru", "reward_standardisation": "batch", "parameter_sharing": sharing}
+    flags |= {"hidden_dim": 8, "network": "gru", "reward_standardisation": True, "parameter_sharing": sharing}
     flags |= {"batch_size": 1, "buffer_size": 4} if name in ("iql", "vdn", "qmix", "maddpg") else {"num_envs": 2}
     start = trained(monkeypatch, name, 0, task, **flags).parts["agents"].state_dict()
     run = trained(monkeypatch, name, 2, task, **flags)
-    assert run.updates == 2
+    assert run.n_updates == 2
     for figure, value in run.metrics.items():
         assert torch.isfinite(value) or figure == "value/explained_variance", (task, figure)
     assert any(not torch.equal(x, start[parameter]) for parameter, x in run.parts["agents"].state_dict().items())

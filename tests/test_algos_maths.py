@@ -85,34 +85,28 @@ class TestReturns:
                     torch.testing.assert_close(returns[t, env], expected)
 
 
-class TestStandardiser:
-    def test_batch_takes_played_steps_only(self):
-        rewards = column([1.0, 3.0, 100.0])
-        result = shared("RewardStandardiser")("batch")(rewards, flags([1, 1, 0])).flatten()
+class TestStandardised:
+    def test_only_played_steps_count(self):
+        result = shared("standardised")(column([1.0, 3.0, 100.0]), flags([1, 1, 0])).flatten()
         deviation = math.sqrt(2.0)  # of 1 and 3, unbiased
         expected = [-1 / (deviation + 1e-5), 1 / (deviation + 1e-5)]
         assert result[:2].tolist() == pytest.approx(expected, rel=1e-6)
 
-    def test_none_changes_nothing(self):
-        rewards = column([1.0, 3.0])
-        assert shared("RewardStandardiser")("none")(rewards, flags([1, 1])) is rewards
-
-    @pytest.mark.parametrize("method", ["batch", "running"])
-    def test_constant_rewards_and_single_steps_become_zeros(self, method):
+    def test_constant_rewards_and_single_steps_become_zeros(self):
         for values in ([0.1] * 7, [0.3]):
-            result = shared("RewardStandardiser")(method)(column(values), flags([1] * len(values)))
-            assert (result == 0).all()
+            assert (shared("standardised")(column(values), flags([1] * len(values))) == 0).all()
 
-    def test_running_is_the_statistics_of_all_batches_together(self):
+    def test_each_agents_own_rewards_have_their_own_mean_and_deviation(self):
+        """What an opponent earns changes nothing."""
         generator = torch.Generator().manual_seed(1)
-        standardiser, seen = shared("RewardStandardiser")("running"), []
-        for _ in range(5):
-            rewards = torch.randn(4, 3, 2, generator=generator) * 3 + 7  # rewards of two agents: pooled
-            played = torch.rand(4, 3, generator=generator) < 0.7
-            result = standardiser(rewards, played)
-            seen += rewards[played].flatten().tolist()
-            expected = (rewards - np.mean(seen)) / (np.std(seen, ddof=1) + 1e-5)
-            torch.testing.assert_close(result, expected.float())
+        rewards = torch.randn(4, 3, 2, generator=generator) * torch.tensor([3.0, 0.1]) + torch.tensor([7.0, -5.0])
+        played = torch.rand(4, 3, generator=generator) < 0.7
+        result = shared("standardised")(rewards, played)
+        for agent in range(2):
+            alone = shared("standardised")(rewards[..., [agent]], played)
+            torch.testing.assert_close(result[..., [agent]], alone)
+            assert result[played][:, agent].mean().abs() < 1e-5
+            assert result[played][:, agent].std() == pytest.approx(1, abs=1e-3)
 
 
 def test_played_mean():
@@ -228,7 +222,7 @@ class TestCollect:
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
-        team, arrays = module.Team(args, agents, rng), module.new_batch(args, env)
+        team, arrays = module.SamplingTeam(args, agents, rng), module.new_storage(args, env)
         module.collect(args, env, team, arrays)  # leaves traces in the arrays that the second must not keep
         batch, returns = module.collect(args, env, team, arrays)
 
@@ -263,7 +257,7 @@ def test_every_parameter_learns(monkeypatch, name, sharing, network, individual)
     if name == "coma" and individual:
         pytest.skip("COMA learns from the team's reward alone")
     flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
-    run = trained(monkeypatch, name, 1, reward_standardisation="batch", **flags)
+    run = trained(monkeypatch, name, 1, reward_standardisation=True, **flags)
     for part in ("agents", "critic"):
         for parameter_name, parameter in run.parts[part].named_parameters():
             assert parameter.grad is not None and parameter.grad.abs().max() > 0, (part, parameter_name)
@@ -282,10 +276,9 @@ def test_loss_of_the_second_epoch_is_clipped(name):
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
         critic = module.MultiAgentNetwork(args, env.n_agents, env.state_size if name[0] == "m" else env.obs_size, 1)
         parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
-        parts["standardiser"] = module.RewardStandardiser("none")
         parts["actor_optimiser"] = torch.optim.Adam(agents.parameters(), lr=0.05)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch, _ = module.collect(args, env, module.Team(args, agents, rng), module.new_batch(args, env))
+        batch, _ = module.collect(args, env, module.SamplingTeam(args, agents, rng), module.new_storage(args, env))
         before = module.deepcopy(agents)
         losses = module.update(args, parts, batch, 1)
         return args, parts, batch, before, losses
@@ -326,9 +319,7 @@ def test_the_target_follows_the_critic(monkeypatch, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_trained_and_how_fast(monkeypatch, name, network):
     """The flags reach their parts; targets begin as copies; critics are never recurrent."""
-    flags = {"network": network, "learning_rate": 0.0123, "reward_standardisation": "running"}
-    parts = trained(monkeypatch, name, 0, **flags).parts
-    assert parts["standardiser"].method == "running"
+    parts = trained(monkeypatch, name, 0, network=network, learning_rate=0.0123).parts
     optimised = []
     for part, value in parts.items():
         if part.endswith("optimiser"):

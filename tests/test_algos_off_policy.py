@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from scripts import OFF_POLICY, VALUE_BASED, FakeRun, envs, script, trained
+from scripts import OFF_POLICY, VALUE_BASED, FakeRun, envs, parse, script, trained
 from slow import (
     LENGTHS,
     N_ACTIONS,
@@ -26,6 +26,8 @@ from slow import (
     slow_target,
     step_by_step,
 )
+
+from envs import runs
 
 REWARDS = [(name, False) for name in OFF_POLICY] + [("iql", True), ("maddpg", True)]  # of the team, or of each agent
 LOSSES = {
@@ -45,7 +47,7 @@ def best(values, available):
 # --- updates ---
 def make_parts(module, args):
     """What `update` learns with: random networks, targets that differ from them, optimisers that move nothing."""
-    parts = {"standardiser": module.RewardStandardiser(args.reward_standardisation)}
+    parts: dict = {}
     for kind in ("", "target_"):
         parts[f"{kind}agents"] = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS, args.network)
         if module.__name__ == "qmix":
@@ -61,6 +63,12 @@ def make_parts(module, args):
     return parts
 
 
+def update(module, args, parts, batch, n_updates=1):
+    """An update of the script; what MADDPG draws in it is that of the seed 1."""
+    rng = [torch.Generator().manual_seed(1)] if module.__name__ == "maddpg" else []
+    return module.update(args, parts, batch, n_updates, *rng)
+
+
 def learning_parameters(parts):
     """By optimiser, the parameters that it moves."""
     return {optimiser: parts[optimiser].param_groups[0]["params"] for optimiser in LOSSES if optimiser in parts}
@@ -73,10 +81,10 @@ def make_args(module, **flags):
 
 def slow_mix(mixer, values, state):
     """The mixing network of the paper for one step: values [agent], state [state]."""
-    first_weights = mixer.first_weights[2](torch.relu(mixer.first_weights[0](state))).abs()
-    last_weights = mixer.last_weights[2](torch.relu(mixer.last_weights[0](state))).abs()
-    mixed = mixer.last_bias[2](torch.relu(mixer.last_bias[0](state)))[0]
-    first_bias = mixer.first_bias(state)
+    first_weights = mixer.W1[2](torch.relu(mixer.W1[0](state))).abs()
+    last_weights = mixer.w2[2](torch.relu(mixer.w2[0](state))).abs()
+    mixed = mixer.b2[2](torch.relu(mixer.b2[0](state)))[0]
+    first_bias = mixer.b1(state)
     for unit in range(32):
         x = first_bias[unit]
         for i, value in enumerate(values):
@@ -147,7 +155,7 @@ def slow_maddpg_losses(args, parts, batch, noise):
 
 @pytest.mark.parametrize("name, individual", REWARDS)
 @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
-@pytest.mark.parametrize("sharing, network, standardisation", [(True, "fc", "none"), (False, "gru", "batch")])
+@pytest.mark.parametrize("sharing, network, standardisation", [(True, "fc", False), (False, "gru", True)])
 @pytest.mark.slow
 def test_losses_of_the_first_update(name, individual, time_limit, sharing, network, standardisation):
     """Losses and gradients against the slow ones."""
@@ -168,8 +176,7 @@ def test_losses_of_the_first_update(name, individual, time_limit, sharing, netwo
         expected = slow_value_losses(name, args, parts, batch)
     learning = learning_parameters(parts)
     gradients = {x: torch.autograd.grad(expected[LOSSES[x]], learning[x]) for x in learning}
-    torch.manual_seed(1)
-    figures = module.update(args, parts, batch, 1)
+    figures = update(module, args, parts, batch)
     for name, figure in expected.items():
         torch.testing.assert_close(figures[name], figure, rtol=1e-4, atol=1e-6)
     for optimiser, parameters in learning.items():
@@ -200,7 +207,7 @@ def slow_update(name, args, parts, batch):
 def test_updates_in_a_row(name):
     """Adam, clipping and soft targets with the losses: a mistake in what one update leaves to the next shows here."""
     module = script(name)
-    args = make_args(module, network="gru", reward_standardisation="batch", target_update="soft")
+    args = make_args(module, network="gru", reward_standardisation=True, target_update="soft")
     torch.manual_seed(0)
     parts = make_parts(module, args)
     for optimiser, parameters in learning_parameters(parts).items():
@@ -209,15 +216,14 @@ def test_updates_in_a_row(name):
     args.max_grad_norm = 0.95 * max(slow_update(name, args, deepcopy(parts), batch))
     for updates in range(1, 6):
         norms += slow_update(name, args, slow, batch)
-        torch.manual_seed(1)
-        module.update(args, parts, batch, updates)
+        update(module, args, parts, batch, updates)
     assert min(norms) < args.max_grad_norm < max(norms)  # some were clipped
     assert_learnt_alike(parts, slow, start)
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
 @pytest.mark.parametrize("network", ["fc", "gru"])
-@pytest.mark.parametrize("standardisation", ["none", "batch"])
+@pytest.mark.parametrize("standardisation", [False, True])
 def test_what_was_not_played_is_never_learnt_from(name, network, standardisation):
     """Rows after an end are empty or hold what an older episode left there, with no action available or with all."""
     module = script(name)
@@ -225,8 +231,7 @@ def test_what_was_not_played_is_never_learnt_from(name, network, standardisation
     torch.manual_seed(0)
     parts, results = make_parts(module, args), []
     for garbage in (False, True):
-        torch.manual_seed(1)
-        losses = module.update(args, parts, make_batch(args, garbage), 1)
+        losses = update(module, args, parts, make_batch(args, garbage))
         gradients = [x.grad.clone() for parameters in learning_parameters(parts).values() for x in parameters]
         results.append([*losses.values(), *gradients])
     for empty, full in zip(*results):
@@ -244,7 +249,7 @@ def test_gradients_are_clipped_together(name):
     for parameters in learning_parameters(parts).values():
         norms = []
         for args.max_grad_norm in (1e9, 1e-3):
-            module.update(args, parts, make_batch(args), 1)
+            update(module, args, parts, make_batch(args))
             norms.append(float(torch.cat([x.grad.flatten() for x in parameters]).norm()))
         assert norms[0] > 2e-3 and norms[1] == pytest.approx(1e-3, rel=1e-2)
 
@@ -261,7 +266,7 @@ def test_targets_follow(name, method):
     assert len(pairs) == (2 if name in ("qmix", "maddpg") else 1)
     for updates, share in ((199, 0.0), (200, 1.0)) if method == "hard" else ((1, 0.01), (2, 0.01)):
         before = [[x.clone() for x in target.parameters()] for _, target in pairs]
-        module.update(args, parts, make_batch(args), updates)
+        update(module, args, parts, make_batch(args), updates)
         for (online, target), old in zip(pairs, before):
             for new, x, then in zip(online.parameters(), target.parameters(), old):
                 torch.testing.assert_close(x, (1 - share) * then + share * new)
@@ -331,7 +336,7 @@ class TestEpsilon:
         args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, 2, OBS_SIZE, N_ACTIONS)
-        return module.Team(args, agents, torch.Generator().manual_seed(0))
+        return module.EpsilonGreedyTeam(args, agents, torch.Generator().manual_seed(0))
 
     def test_frequencies(self):
         """Of all pairs of actions, in many copies of one situation where the best action of all is not available."""
@@ -375,7 +380,7 @@ class TestEpsilon:
         monkeypatch.setattr(module, "collect", noted)
         run = trained(monkeypatch, name, 7, "matrix-climbing", epsilon_anneal=100, eval_epsilon=0.03)
         assert seen == pytest.approx([1.0, 0.7625, 0.525, 0.2875, 0.05, 0.05, 0.05])
-        assert module.Team(run.args, run.parts["agents"], run.rng).epsilon == 0.03
+        assert module.EpsilonGreedyTeam(run.args, run.parts["agents"], run.rng).epsilon == 0.03
 
 
 # --- replay ---
@@ -427,9 +432,12 @@ class TestReplay:
         args = module.Args(**{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
-        team = module.Team(args, module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS), torch.Generator())
-        arrays = module.new_batch(args, game)
-        replay = module.Replay(args, game, arrays, path / "replay.bin")
+        agents = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS)
+        team = module.EpsilonGreedyTeam(args, agents, torch.Generator())
+        arrays = module.new_storage(args, game)
+        run = FakeRun(0)
+        run.env, run.path = game, path
+        replay = module.Replay(args, game, arrays, run)
 
         def play(episodes):
             for _ in range(episodes):
@@ -493,7 +501,7 @@ class TestReplay:
         """Up to two checkpoints later, a replay opened where the checkpoint was made draws what it would have drawn."""
         replay, game, play = self.begin(tmp_path, batch_size=5)
         play(13)
-        assert replay.file.state_dict() == {}
+        replay.file.flush()
         expected = replay.sample(torch.Generator().manual_seed(0))
         for later in range(2 * replay.file.checkpoint_every + 1):
             again, _, _ = self.begin(tmp_path, batch_size=5, episode=13)
@@ -530,21 +538,27 @@ class TestReplay:
 
 # --- training ---
 @pytest.mark.parametrize("name", OFF_POLICY)
-def test_updates_and_checkpoints_of_a_run(monkeypatch, name):
+def test_updates_and_checkpoints_of_a_run(monkeypatch, tmp_path, name):
     """One update an episode from the first full batch on, numbered from 1; a checkpoint each quarter of the replay."""
     module, numbers, saves = script(name), [], []
-    update = module.update
+    learn = module.update
 
-    def noted(args, parts, batch, updates):
-        numbers.append(updates)
+    def noted(args, parts, batch, n_updates, *rng):
+        numbers.append(n_updates)
         assert batch.played.shape == (25, 4)  # steps of a matrix game; episodes
-        return update(args, parts, batch, updates)
+        return learn(args, parts, batch, n_updates, *rng)
+
+    def noted_save(run):
+        saves.append(run.env.episode)
 
     monkeypatch.setattr(module, "update", noted)
-    monkeypatch.setattr(FakeRun, "save", lambda run: saves.append(run.env.episode))
-    run = trained(monkeypatch, name, 9, "matrix-climbing", batch_size=4, buffer_size=11, hidden_dim=8)
-    assert numbers == [1, 2, 3, 4, 5, 6] and run.steps == 9 * 25
-    assert saves == [3, 6, 9]
+    monkeypatch.setattr(runs.Run, "save", noted_save)
+    flags: list = ["--env", "matrix-climbing", "--batch-size", 4, "--buffer-size", 11, "--hidden-dim", 8]
+    flags += ["--total-timesteps", 9 * 25, "--eval-points", 1, "--eval-episodes", 1, "--run-dir", tmp_path / "run"]
+    monkeypatch.setattr(runs.run, "StopSignals", lambda: SimpleNamespace(received=None))
+    module.train(parse(name, flags))
+    assert numbers == [1, 2, 3, 4, 5, 6]
+    assert saves == [0, 3, 6, 9, 9]  # the first evaluation, and the end
 
 
 @pytest.mark.parametrize("name, individual", REWARDS)
@@ -555,9 +569,9 @@ def test_every_parameter_learns(monkeypatch, name, individual, sharing, network)
     flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
     if name == "maddpg":
         flags["actor_regularisation"] = 0.0  # actors learn from the critic
-    start = trained(monkeypatch, name, 1, batch_size=2, reward_standardisation="batch", **flags)
-    run = trained(monkeypatch, name, 2, batch_size=2, reward_standardisation="batch", **flags)
-    assert (start.updates, run.updates) == (0, 1)
+    start = trained(monkeypatch, name, 1, batch_size=2, reward_standardisation=True, **flags)
+    run = trained(monkeypatch, name, 2, batch_size=2, reward_standardisation=True, **flags)
+    assert (start.n_updates, run.n_updates) == (0, 1)
     learners = ["agents"] + [part for part in ("mixer", "critic") if part in run.parts]
     assert len(learners) == (2 if name in ("qmix", "maddpg") else 1)
     for part in learners:
@@ -611,7 +625,7 @@ class TestMaddpg:
         args = module.Args(max_grad_norm=1e9, actor_regularisation=regularisation)
         n_agents, n_actions = logits.shape
         agents, critic = FixedPolicies(logits), LinearCritics(weights)
-        parts = {"agents": agents, "critic": critic, "standardiser": module.RewardStandardiser("none")}
+        parts: dict = {"agents": agents, "critic": critic}
         parts |= {"target_agents": FixedPolicies(logits), "target_critic": LinearCritics(weights)}
         parts["actor_optimiser"] = torch.optim.SGD(agents.parameters(), lr=0.0)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
@@ -626,8 +640,7 @@ class TestMaddpg:
         )
         torch.manual_seed(0)
         noise = -torch.empty(steps, n_agents, n_actions).exponential_().log()
-        torch.manual_seed(0)
-        loss = module.update(args, parts, batch, 1)["loss/actor"].item()
+        loss = module.update(args, parts, batch, 1, torch.Generator().manual_seed(0))["loss/actor"].item()
         return loss, agents.logits.grad, noise
 
     def test_actions_are_one_hots_with_the_gradient_of_the_softmax(self):

@@ -19,14 +19,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script
+from scripts import INDIVIDUAL, NAMES, OFF_POLICY, ON_POLICY, ROOT, envs, parse, script, trained
+from scripts import main as script_main
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from envs import fast_mkl, runs
+from envs import runs
 from envs.families import lbf, matrix
+from envs.runs import fast_mkl
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
-SHORT += ["--reward-standardisation", "running", "--network", "gru"]
+SHORT += ["--reward-standardisation", "--network", "gru"]
 STEPS = {name: 5000 if name in ON_POLICY else 3000 for name in NAMES}
 WRITTEN = ["checkpoint.previous.pt", "checkpoint.pt", "config.json", "evaluations.csv"]
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -63,7 +65,7 @@ def main(monkeypatch, capsys, name, *flags):
         signal.signal(number, signal.SIG_DFL)  # tests in the background may ignore some of them
     code: object = 0
     try:
-        script(name).main()
+        script_main(name)
     except SystemExit as end:
         code = end.code
     finally:
@@ -210,9 +212,9 @@ def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
     assert evaluations(tmp_path / "run") == evaluations(directory)
 
 
-def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGINT):
+def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGINT, flags=None):
     """Begins a short run, or goes on with it, and stops it by a signal when so many batches have been collected."""
-    module, log, left = script(name), runs.Log.batch, iter(range(batches - 1, -1, -1))
+    log, left = runs.Log.batch, iter(range(batches - 1, -1, -1))
 
     def stop(self, *args):
         log(self, *args)
@@ -220,8 +222,8 @@ def stop_after(monkeypatch, capsys, name, directory, batches, number=signal.SIGI
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module.runs.Log, "batch", stop)
-        code, said = main(patch, capsys, name, *short(name), "--run-dir", directory, "--resume")
+        patch.setattr(runs.Log, "batch", stop)
+        code, said = main(patch, capsys, name, *(flags or short(name)), "--run-dir", directory, "--resume")
     assert "--resume goes on" in said
     return code
 
@@ -278,7 +280,7 @@ def test_a_killed_run_goes_on_from_minutes_ago(finished, monkeypatch, capsys, tm
 
     with monkeypatch.context() as patch, pytest.raises(KeyError):
         patch.setattr(runs.directory, "SAVE_SECONDS", 0)
-        patch.setattr(script(name).runs.Log, "batch", end)
+        patch.setattr(runs.Log, "batch", end)
         main(patch, capsys, name, *short(name), "--run-dir", tmp_path / "run")
     assert runs.read_checkpoint(tmp_path / "run", name)["episode"] == 8
     assert main(monkeypatch, capsys, name, *short(name), "--run-dir", tmp_path / "run", "--resume")[0] == 0
@@ -619,17 +621,191 @@ class TestWrongInput:
 
 
 # --- using what was trained ---
-@pytest.mark.parametrize("name", ["mappo", "coma"])
-def test_a_checkpoint_of_an_older_version(monkeypatch, capsys, tmp_path, name):
-    """It named the networks' arguments otherwise, and every script had --individual-rewards."""
-    flags = [*short(name), "--total-timesteps", 2000, "--eval-points", 3, "--run-dir", tmp_path, "--resume"]
-    assert main(monkeypatch, capsys, name, *flags)[0] == 0
+@pytest.mark.parametrize("name", ["mappo", "coma", "qmix"])
+@pytest.mark.parametrize("method, standardises", [("none", False), ("batch", True)])
+def test_a_checkpoint_of_an_older_version(monkeypatch, capsys, tmp_path, name, method, standardises):
+    """It named networks and some weights otherwise, said how rewards are standardised, and kept a part for it."""
+    flag = "--reward-standardisation" if standardises else "--no-reward-standardisation"
+    flags = [*short(name), flag, "--total-timesteps", 2000, "--eval-points", 3, "--run-dir", tmp_path, "--resume"]
+    stop_after(monkeypatch, capsys, name, tmp_path, 3, flags=flags[:-3])
     saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     saved["sizes"] = saved.pop("network")
     saved["config"]["flags"]["individual_rewards"] = False
+    saved["config"]["flags"]["reward_standardisation"] = method
+    saved["config"]["changed"]["reward_standardisation"] = method
+    del saved["config"]["flags"]["greedy"], saved["config"]["flags"]["start_from"]
+    saved["parts"]["standardiser"] = {"seen": torch.zeros(3, dtype=torch.float64)}
+    older = {"W1": "first_weights", "b1": "first_bias", "w2": "last_weights", "b2": "last_bias"}
+    for part in {"mixer", "target_mixer"} & saved["parts"].keys():
+        renamed = {older[key[:2]] + key[2:]: x for key, x in saved["parts"][part].items()}
+        saved["parts"][part] = renamed
     torch.save(saved, tmp_path / "checkpoint.pt")
+    assert script(name).load(tmp_path).args.reward_standardisation is standardises
     assert main(monkeypatch, capsys, name, *flags)[0] == 0
-    assert script(name).load(tmp_path).args.env == "lbf-5x5-2p-1f"
+    assert json.loads((tmp_path / "config.json").read_text())["flags"]["reward_standardisation"] is standardises
+
+
+def test_a_third_way_of_standardising_is_told_when_a_run_goes_on(mappo_run, monkeypatch, capsys, tmp_path):
+    """It is no more; such a team still plays."""
+    flags, directory = mappo_run
+    copy = copy_of(directory, tmp_path / "run")
+    saved = torch.load(copy / "checkpoint.pt", weights_only=True)
+    saved["config"]["flags"]["reward_standardisation"] = "running"
+    torch.save(saved, copy / "checkpoint.pt")
+    assert script("mappo").load(copy).args.env == "lbf-5x5-2p-1f"
+    code, said = main(monkeypatch, capsys, "mappo", *flags, copy, "--resume")
+    assert code == 2 and "was begun with --reward-standardisation running, and this cannot change." in said
+
+
+# --- first weights from another run ---
+def networks_of(directory, name):
+    """The weights of a checkpoint's networks, by part."""
+    parts = runs.read_checkpoint(directory, name)["parts"]
+    return {part: weights for part, weights in parts.items() if not part.endswith("optimiser")}
+
+
+@pytest.mark.parametrize("name", ["mappo", "qmix"])
+def test_first_weights_from_another_run(monkeypatch, capsys, tmp_path, name):
+    """All networks have them, targets begin as copies; config.json says which run it was, and no path."""
+    few = [*short(name), "--total-timesteps", 300, "--eval-points", 2, "--eval-episodes", 2]
+    assert main(monkeypatch, capsys, name, *few, "--run-dir", tmp_path / "first")[0] == 0
+    learnt = networks_of(tmp_path / "first", name)
+    begun = trained(monkeypatch, name, 0, hidden_dim=32, network="gru").parts  # other weights
+    runs.run.start_from(str(tmp_path / "first"), name, begun)
+    for part, weights in learnt.items():
+        source = learnt[part.removeprefix("target_")]
+        for key in weights:
+            assert torch.equal(begun[part].state_dict()[key], source[key])
+    monkeypatch.undo()
+    start = ["--start-from", tmp_path / "first", "--seed", 4]
+    assert main(monkeypatch, capsys, name, *few, *start, "--run-dir", tmp_path / "second")[0] == 0
+    config = json.loads((tmp_path / "second" / "config.json").read_text())
+    hash_of_script = runs.script_hash(ROOT / "algos" / f"{name}.py")
+    origin = f"lbf-5x5-2p-1f {name}-shared seed 0 script {hash_of_script}"
+    assert config["flags"]["start_from"] == config["changed"]["start_from"] == origin
+    # The first evaluation is that of the run it started from, not of new weights.
+    seed = int(np.random.SeedSequence([4, 0]).generate_state(1)[0])
+    results = runs.evaluate(envs.make("lbf-5x5-2p-1f", 2), script(name).load(tmp_path / "first", seed), seed)
+    assert evaluations(tmp_path / "second")[0]["return_mean"] == str(results["return_mean"])
+
+
+def test_first_weights_from_a_team_that_has_its_agents_alone(monkeypatch, capsys, tmp_path):
+    place = next(path.parent for path in (ROOT / "benchmark/teams").glob("*/config.json") if path.parent.name[0] == "m")
+    config = json.loads((place / "config.json").read_text())
+    name, task = config["algorithm"], config["flags"]["env"]
+    few = [
+        "--env",
+        task,
+        "--total-timesteps",
+        1,
+        "--eval-points",
+        1,
+        "--start-from",
+        place,
+        "--run-dir",
+        tmp_path / "run",
+    ]
+    assert main(monkeypatch, capsys, name, *few)[0] == 0
+    assert runs.read_checkpoint(tmp_path / "run", name)["rows"]
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (
+            ["--env", "lbf-6x6-3p-1f"],
+            "agents of {} does not fit: the shape of networks.0.first.weight is (32, 11) there",
+        ),
+        (
+            ["--no-parameter-sharing"],
+            "agents of {} does not fit: the shape of networks.0.first.weight is (32, 11) there",
+        ),
+        (["--hidden-dim", "16"], "agents of {} does not fit: the shape of networks.0.first.weight is (32, 11) there"),
+        (["--network", "fc"], "agents of {} does not fit: the shape of networks.0.core.weight is none there"),
+    ],
+)
+def test_first_weights_that_do_not_fit(mappo_run, monkeypatch, capsys, tmp_path, change, said):
+    """One sentence names the network and both shapes."""
+    flags, directory = mappo_run
+    start = ["--start-from", directory, "--run-dir", tmp_path / "run"]
+    code, words = main(monkeypatch, capsys, "mappo", *flags[:-1], *change, *start)
+    assert code == 2 and len(words.strip().splitlines()) == 1
+    assert words.startswith(f"mappo: --start-from: {said.format(directory)}")
+
+
+def test_first_weights_from_nowhere(monkeypatch, capsys, tmp_path):
+    code, said = main(monkeypatch, capsys, "mappo", "--start-from", tmp_path, "--run-dir", tmp_path / "run")
+    assert code == 2 and said == f"mappo: --start-from: {tmp_path} holds no run.\n"
+
+
+# --- watching ---
+def watched(monkeypatch, capsys, name, *flags):
+    """What --watch prints: exit code, results and where the film is, and what stands on stderr."""
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, flags)])
+    code: object = 0
+    try:
+        script_main(name)
+    except SystemExit as end:
+        code = end.code
+    said = capsys.readouterr()
+    return code, said.out.splitlines(), said.err
+
+
+def test_another_task_is_played_where_the_networks_fit(mappo_run, monkeypatch, capsys, tmp_path):
+    """The film and the results are of the task of the command line."""
+    copy, played, make = copy_of(mappo_run[1], tmp_path / "run"), [], runs.make_for
+
+    def noted(args, *more, **also):
+        played.append(args)
+        return make(args, *more, **also)
+
+    monkeypatch.setattr(runs.run, "make_for", noted)
+    watch = ["--watch", copy, "--eval-episodes", 2]
+    assert watched(monkeypatch, capsys, "mappo", *watch)[0] == 0
+    assert watched(monkeypatch, capsys, "mappo", *watch, "--env", "lbf-6x6-2p-1f")[0] == 0
+    assert [args.env for args in played] == ["lbf-5x5-2p-1f", "lbf-6x6-2p-1f"]
+    code, _, said = watched(monkeypatch, capsys, "mappo", *watch, "--env", "lbf-6x6-3p-1f")
+    assert code == 2 and said == (
+        f"mappo: The team of {copy} does not fit: it has 2 agents with 9 observations and 6 actions; "
+        "lbf-6x6-3p-1f has 3 with 12 and 6.\n"
+    )
+
+
+def test_options_of_the_environment_reach_what_is_watched(mappo_run, monkeypatch, capsys, tmp_path):
+    copy = copy_of(mappo_run[1], tmp_path / "run")
+    code, _, said = watched(monkeypatch, capsys, "mappo", "--watch", copy, "--max-episode-steps", 3)
+    assert code == 2 and "--max-episode-steps is for environments of PettingZoo" in said
+
+
+@pytest.mark.parametrize("flags", [["--gamma", "0.99"], ["--resume"], ["--no_parameter_sharing"], ["--eval-points=3"]])
+def test_flags_of_a_training_are_refused_with_watch(mappo_run, monkeypatch, capsys, flags):
+    """Also where they say what is the default."""
+    code, _, said = watched(monkeypatch, capsys, "mappo", "--watch", mappo_run[1], *flags)
+    name = flags[0].partition("=")[0].replace("_", "-").replace("--no-", "--")
+    assert code == 2 and said == f"mappo: --watch plays what was trained; {name} is for a training.\n"
+
+
+def test_watching_greedily(mappo_run, monkeypatch, capsys, tmp_path):
+    copy, greedy = copy_of(mappo_run[1], tmp_path / "run"), []
+    film = envs.film
+
+    def noted(env, team, *others):
+        greedy.append(team.greedy)
+        return film(env, team, *others)
+
+    monkeypatch.setattr(envs, "film", noted)
+    for flags in ([], ["--greedy"]):
+        code, printed, _ = watched(monkeypatch, capsys, "mappo", "--watch", copy, "--eval-episodes", 30, *flags)
+        assert code == 0
+        team = script("mappo").load(copy, 0, greedy=bool(flags))
+        results = runs.evaluate(envs.make("lbf-5x5-2p-1f", 30), team, 0)
+        assert printed[0] == runs.in_words(results)
+    assert greedy == [False, True]
+
+
+def test_greedy_is_for_watching(monkeypatch, capsys, tmp_path):
+    code, said = main(monkeypatch, capsys, "mappo", "--greedy", "--run-dir", tmp_path / "run")
+    assert code == 2 and said.startswith("mappo: --greedy is for --watch")
 
 
 def test_default_directory_names_what_is_not_default(monkeypatch, capsys, tmp_path):
@@ -665,7 +841,7 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     name, directory = finished
     copy = copy_of(directory, tmp_path / "run")
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(copy), "--eval-episodes", "3"])
-    script(name).main()
+    script_main(name)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and "episode_length" in said[0]
     assert said[1] == f"film: {copy / 'film.gif'}"
@@ -678,7 +854,7 @@ def test_watching_where_nothing_can_be_written(mappo_run, monkeypatch, capsys, t
     copy = copy_of(mappo_run[1], tmp_path / "run")
     (copy / "film.gif").mkdir()
     monkeypatch.setattr(sys, "argv", ["mappo.py", "--watch", str(copy), "--eval-episodes", "3"])
-    script("mappo").main()
+    script_main("mappo")
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and said[1].startswith("There is no place for the film: [Errno")
 
@@ -702,7 +878,7 @@ def test_the_film_shows_the_episodes_of_the_printed_results(finished, monkeypatc
     monkeypatch.setattr(envs, "film", film_of_a_fresh_team)
     monkeypatch.setattr(lbf.Env, "frame", frame)
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--watch", str(copy), "--eval-episodes", "3", "--seed", "5"])
-    script(name).main()
+    script_main(name)
     assert f"return_mean {returns.mean():.3f}, return_std {returns.std():.3f}," in capsys.readouterr().out
 
 
@@ -713,7 +889,7 @@ def test_the_loaded_team_plays_like_the_last_evaluation(finished):
     module, last = script(name), evaluations(directory)[-1]
     seed = int(np.random.SeedSequence([0, int(last["point"])]).generate_state(1)[0])
     torch.set_num_threads(1)
-    results = module.evaluate(envs.make("lbf-5x5-2p-1f", 20), module.load(directory, seed), seed)
+    results = runs.evaluate(envs.make("lbf-5x5-2p-1f", 20), module.load(directory, seed), seed)
     assert {key: str(value) for key, value in results.items()} == {key: last[key] for key in results}
 
 

@@ -64,6 +64,8 @@ class Args:
     run_dir: str = ""
     resume: bool = False
     watch: str = ""
+    greedy: bool = False
+    env_kwargs: str = ""
 
 
 def paper_defaults(env="", parameter_sharing=True):

@@ -28,7 +28,7 @@ def test_a_team_plays_as_its_run_said(place):
     seed = int(np.random.SeedSequence([0, int(last["point"])]).generate_state(1)[0])
     team = module.load(place, seed)
     assert team.args.env.replace(":", "_") == place.name
-    returned = module.evaluate(runs.make_for(team.args, team.args.eval_episodes), team, seed)
+    returned = runs.evaluate(runs.make_for(team.args, team.args.eval_episodes), team, seed)
     of_means = last["return_std"] * np.sqrt(2 / team.args.eval_episodes)  # standard deviation of their difference
     assert returned["return_mean"] == pytest.approx(last["return_mean"], abs=4 * of_means + 1e-3)
 

@@ -1,5 +1,6 @@
 """The site: links from pages into scripts, observations value by value, and the built pages in a real browser."""
 
+import dataclasses
 import functools
 import json
 import re
@@ -20,6 +21,7 @@ from scripts import ROOT
 from selenium import webdriver
 
 import envs
+from envs.runs import Flags
 from envs.tasks import PAPER_TASKS
 
 DOCS = ROOT / "docs"
@@ -110,7 +112,8 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
         assert words[0] == "python" and (ROOT / words[1]).exists()
         if words[1].startswith("algos"):
             flags = {word[2:].removeprefix("no-").replace("-", "_") for word in words if word.startswith("--")}
-            assert flags <= {*script.read(name).flags, "help"}, command
+            shared = {field.name for field in dataclasses.fields(Flags)}
+            assert flags <= {*script.read(name).flags, *shared, "help"}, command
             if "--env" in words:
                 envs.task(words[words.index("--env") + 1])
 

@@ -16,6 +16,7 @@ import torch
 from scripts import ROOT, load_module, script, trained
 
 import envs
+from envs import runs
 from envs.check import hints, problems
 from envs.vector import VectorEnv, forbidden_action
 
@@ -593,9 +594,9 @@ def test_an_own_module_may_have_any_name(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.slow
 def test_a_team_learns_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
     """The best is 0.9 or so; agents who do not move earn -1."""
-    run = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)
+    learnt = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)
     env = envs.make("own:examples.meeting_numpy", 200, seed=9)
-    team = script("ippo").Team(run.args, run.parts["agents"], torch.Generator().manual_seed(0))
-    figure = script("ippo").evaluate(env, team, 1)["return_mean"]
+    team = script("ippo").SamplingTeam(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
+    figure = runs.evaluate(env, team, 1)["return_mean"]
     print(f"mean return {figure:.2f}")
     assert figure > 0.8

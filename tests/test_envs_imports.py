@@ -15,7 +15,7 @@ import envs
 PACKAGE = Path(envs.__file__).parent
 FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 
-FUNCTIONS = ("envs.VectorEnv", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
+FUNCTIONS = ("envs.VectorEnv", "envs.film", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
     "vector.py": (),
@@ -27,8 +27,8 @@ ALLOWED = {
     "faults.py": (),
     "adapters": ("envs.adapters", "envs.faults", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.faults", "envs.vector"),
-    "__init__.py": ("envs.fast_mkl", "envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
-    "runs": ("envs.runs", "envs.fast_mkl", "envs.tasks", "envs.vector", *FUNCTIONS),
+    "__init__.py": ("envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
+    "runs": ("envs.runs", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 
 

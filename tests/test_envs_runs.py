@@ -43,6 +43,7 @@ class Args:
     resume: bool = False  # go on
     track: bool = False  # somewhere
     watch: str = ""  # a run
+    greedy: bool = False  # the best
     device: str = "cpu"  # where
 
 
@@ -341,6 +342,7 @@ class TestEpisodeFile:
 
         if Path("/proc/self/maps").exists():
             monkeypatch.setattr(Path, "unlink", as_on_windows)
+        file.close()  # as `Run.complete` does
         directory.complete()
         assert not (tmp_path / "run" / "replay.bin").exists()
 

@@ -5,11 +5,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import envs  # isort: skip (before PyTorch, as in the scripts)
+import envs  # isort: skip
 import pandas as pd
 import torch
 
-from envs.runs import read_checkpoint, safe_name, write_whole
+from envs.runs import read_checkpoint, renewed_config, safe_name, write_whole
 from reporting.results import HERE, RESULTS, load, our_cells
 
 TEAMS = HERE / "teams"
@@ -30,7 +30,7 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
     returns: `last_returns`. Gives the team's place, None where it was not kept. InputError where the run has no
     checkpoint that can be read.
     """
-    config = json.loads((directory / "config.json").read_text(encoding="utf-8"))
+    config = renewed_config(json.loads((directory / "config.json").read_text(encoding="utf-8")))
     flags, algorithm = config["flags"], config["algorithm"]
     task, place = flags["env"], teams / safe_name(flags["env"])
     usual = not config["changed"] and flags["parameter_sharing"] and flags["seed"] == 0

@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 
 import envs
+from envs.runs import renewed_config
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE / "results"
@@ -89,7 +90,8 @@ def table_path(results: Path, algorithm: str, task: str, sharing: bool, changed:
 
 
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
-    """The settings of a run or of a table. ValueError where a part is missing or of another type than in PARTS.
+    """The settings of a run or of a table, in the words of this version. ValueError where a part is missing or of
+    another type than in PARTS.
 
     more: further parts and their types.
     """
@@ -102,7 +104,7 @@ def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
     found = said["flags"] | said
     if wrong := [name for name, kind in (PARTS | more).items() if not isinstance(found.get(name), kind)]:
         raise ValueError(f"{file} is damaged, or of an older version: what it says of {', '.join(wrong)} is not valid")
-    return said
+    return renewed_config(said)
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -1,8 +1,10 @@
-"""What every run needs of the file system, the terminal and the machine. It has nothing to do with learning.
+"""What every run needs around its learning: of the file system, the terminal and the machine.
 
-The scripts of algos/ call these in one line each, so that a reader of an algorithm need not read them:
+A script calls what is here in one line each, so that a reader of an algorithm need not read it:
 
-    flags        parse_flags, make_for, check_teams, check_one_team
+    fast_mkl     faster matrix products on AMD processors, if this package is imported before PyTorch
+    flags        Flags, parse_flags, make_for, check_teams, check_one_team
+    run          Run, own_generator, evaluate, watch, main: see docs/how-to/around-a-training.md
     directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
     replay       EpisodeFile
     log          Log: progress bar, TensorBoard, progress.json
@@ -11,6 +13,7 @@ The scripts of algos/ call these in one line each, so that a reader of an algori
 
 # ruff: noqa: F401 (these are the names for the scripts)
 
+from envs.runs import fast_mkl  # isort: skip (before whatever imports PyTorch)
 from envs.runs.directory import (
     RunDirectory,
     describe,
@@ -18,6 +21,7 @@ from envs.runs.directory import (
     is_whole,
     last_checkpoint,
     read_checkpoint,
+    renewed_config,
     run_path,
     safe_name,
     write_episodes,
@@ -26,6 +30,7 @@ from envs.runs.directory import (
 from envs.runs.flags import (
     OF_ONE_RUN,
     RANGES,
+    Flags,
     changed_flags,
     check_flags,
     check_one_team,
@@ -47,3 +52,4 @@ from envs.runs.process import (
     with_flags,
 )
 from envs.runs.replay import EpisodeFile
+from envs.runs.run import Run, Team, evaluate, main, own_generator, watch

@@ -44,9 +44,6 @@ PAUSES = (0.05, 0.15, 0.3, 0.5)  # seconds between the tries to put a file in th
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 
 
-MAPPED: dict[Path, Any] = {}  # the memory-mapped file of a replay, an `EpisodeFile`, by path
-
-
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
     """An error of the file system names this path: what goes wrong in a write, unlike in `open`, names none."""
@@ -100,9 +97,11 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     return table.getvalue()
 
 
-def write_episodes(directory: str | os.PathLike[str], totals: EpisodeTotals) -> None:
-    """Writes episodes.csv, a row for each episode of an evaluation, into a run's directory."""
-    write_whole(Path(directory, "episodes.csv"), as_csv(totals.episodes()))
+def write_episodes(directory: str | os.PathLike[str], totals: EpisodeTotals) -> Path:
+    """Writes episodes.csv, a row for each episode of an evaluation, into a run's directory. Returns its path."""
+    path = Path(directory, "episodes.csv")
+    write_whole(path, as_csv(totals.episodes()))
+    return path
 
 
 def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:
@@ -158,9 +157,25 @@ def renewed(saved: dict[str, Any]) -> dict[str, Any]:
     """A checkpoint of an older version, as this one writes it."""
     if "sizes" in saved:
         saved["network"] = saved.pop("sizes")
-    if saved["config"]["algorithm"] in ("coma", "vdn", "qmix"):
-        saved["config"]["flags"].pop("individual_rewards", None)  # was a flag that could only be off
-    return saved
+    names = {"first_weights": "W1", "first_bias": "b1", "last_weights": "w2", "last_bias": "b2"}  # of QMIX's mixer
+    for part in {"mixer", "target_mixer"} & saved.get("parts", {}).keys():
+        weights = {key.partition("."): x for key, x in saved["parts"][part].items()}
+        saved["parts"][part] = {f"{names.get(name, name)}.{rest}": x for (name, _, rest), x in weights.items()}
+    return saved | {"config": renewed_config(saved["config"])}
+
+
+def renewed_config(config: dict[str, Any]) -> dict[str, Any]:
+    """What config.json, a checkpoint or a table of results says of an older version's run, in the words of this one."""
+    switch = {"none": False, "batch": True}  # "running", which no setting of the paper has, stays what it was
+    renewed = dict(config)
+    for part in ("flags", "changed"):
+        flags = dict(config[part])
+        if (method := flags.get("reward_standardisation")) in switch:
+            flags["reward_standardisation"] = switch[method]
+        if config["algorithm"] in ("coma", "vdn", "qmix"):
+            flags.pop("individual_rewards", None)  # was a flag that could only be off
+        renewed[part] = flags
+    return renewed
 
 
 @contextlib.contextmanager
@@ -314,8 +329,6 @@ class RunDirectory:
 
     def complete(self) -> None:
         """Deletes what only a running run needs, and says how to watch what has been learnt."""
-        if file := MAPPED.pop(self.path / "replay.bin", None):
-            file.close()  # Windows deletes no file that is in use
         for name in ("progress.json", "replay.bin"):
             try:
                 (self.path / name).unlink(missing_ok=True)

@@ -1,14 +1,19 @@
-"""The flags of a script: reading and checking them, what differs from the defaults, the environment that they name."""
+"""The flags of a script: those that all share, reading and checking them, the environment that they name."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import math
+import os
 import shutil
 import sys
 import textwrap
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import psutil
 import tyro
@@ -17,11 +22,37 @@ import envs
 from envs.runs.process import flush_stdout
 from envs.vector import RESULT_COLUMNS, InputError
 
-Flags = TypeVar("Flags")  # the Args of a script
+
+@dataclass
+class Flags:
+    """The flags that all scripts share, and that do not say what is learnt, or how. The scripts' Args inherit them."""
+
+    # evaluation
+    eval_points: int = 41  # evaluations at equal distances, the first before training
+    eval_episodes: int = 100  # episodes of an evaluation, or of --watch
+    # run
+    device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
+    threads: int = 1  # CPU threads of PyTorch
+    run_dir: str = ""  # where the run is kept; empty: runs/<task>/<algorithm>-.../seed<seed>
+    resume: bool = False  # go on from the last checkpoint, if there is one
+    start_from: str = ""  # take the first weights from the run or team in this directory
+    track: bool = False  # follow the run in Weights & Biases
+    # instead of a run
+    watch: str = ""  # play and film the team of this run directory instead of training
+    greedy: bool = False  # with --watch: always the best action
+    # foreign environments
+    env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
+    max_episode_steps: int = 0  # cut episodes of a PettingZoo or Gymnasium environment here (0: do not)
+    flatten_images: bool = False  # make vectors of the images of a PettingZoo or Gymnasium environment
+    env_workers: int = 0  # processes that play a PettingZoo or Gymnasium environment (0: this one)
+
+
+Args = TypeVar("Args")  # of a script
 
 OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images"}
 # These say nothing of the setting
-OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "track"}
+OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "greedy", "track"}
+WITH_WATCH = OF_THE_TASK | {"env", "env_workers", "seed", "eval_episodes", "threads", "watch", "greedy"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
 NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
 
@@ -97,12 +128,12 @@ def whole_number(text: str) -> int:
     return int(value)
 
 
-def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: list[str], doc: str | None) -> Flags:
+def parse_flags(args_class: type[Args], defaults: Callable[..., Args], argv: list[str], doc: str | None) -> Args:
     """Reads the command line into a script's Args.
 
     defaults: makes the Args for a task and a kind of sharing. So these two flags are found first, in every spelling
     that tyro accepts. doc: the script's docstring, which heads its help.
-    Raises InputError for a number out of range, and for a device that is not there.
+    Raises InputError for a number out of range, for a device that is not there, and for flags that do not go together.
     """
     others = [word for word in argv if word not in ("-h", "--help")]
     default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
@@ -115,12 +146,23 @@ def parse_flags(args_class: type[Flags], defaults: Callable[..., Flags], argv: l
     check_flags(args)
     if args.watch == "" and any(word.partition("=")[0] == "--watch" for word in argv):
         raise InputError("--watch needs the directory of a run.")  # an unset variable of a shell, for example
+    if args.watch and (others := sorted(given_flags(args_class, argv) - WITH_WATCH)):
+        raise InputError(f"--watch plays what was trained; --{others[0].replace('_', '-')} is for a training.")
+    if args.greedy and not args.watch:
+        raise InputError("--greedy is for --watch; a training plays as its algorithm says.")
     if args.device == "cuda":
         import torch
 
         if not torch.cuda.is_available():
             raise InputError("--device cuda: PyTorch finds no CUDA device here.")
     return args
+
+
+def given_flags(args_class: type, argv: list[str]) -> set[str]:
+    """The names of the flags that a command line has, whatever their values."""
+    fields = {field.name for field in dataclasses.fields(args_class)}
+    words = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word.startswith("--")}
+    return (words | {word.removeprefix("no_") for word in words}) & fields
 
 
 def as_flag(name: str, value: Any) -> str:
@@ -145,8 +187,14 @@ def check_flags(args: Any) -> None:
 
 
 def named_flags(args: Any) -> dict[str, Any]:
-    """A script's flags as results name them: what a file holds counts, and not where it lies on a machine."""
-    return vars(args) | {"env_kwargs": envs.named_kwargs(args.env, args.env_kwargs)}
+    """A script's flags as results name them: what a file or a run holds counts, and not where it lies on a machine.
+
+    Raises InputError where --start-from names no run.
+    """
+    named = vars(args) | {"env_kwargs": envs.named_kwargs(args.env, args.env_kwargs)}
+    if named.get("start_from"):
+        named["start_from"] = identity(named["start_from"])
+    return named
 
 
 def changed_flags(args: Any, default: Any) -> dict[str, Any]:
@@ -159,11 +207,25 @@ def changed_flags(args: Any, default: Any) -> dict[str, Any]:
     return {name: value for name, value in ordered if name not in named and value != getattr(default, name)}
 
 
+def identity(directory: str | os.PathLike[str]) -> str:
+    """What run or team a directory holds: task, algorithm, sharing, seed and the hash of the script's text."""
+    try:
+        config = json.loads(Path(directory, "config.json").read_text(encoding="utf-8"))
+        flags = config["flags"]
+        sharing = "shared" if flags["parameter_sharing"] else "independent"
+        return f"{flags['env']} {config['algorithm']}-{sharing} seed {flags['seed']} script {config.get('script')}"
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"--start-from: {directory} holds no run.") from error
+
+
 def show_help(args_class: type, default: Any, doc: str) -> None:
     """Prints a script's docstring, wrapped to the terminal, and tyro's list of the flags.
 
-    tyro itself would make one long line of each paragraph.
+    tyro itself would make one long line of each paragraph, and begin with the flags of all scripts.
     """
+    fields = args_class.__dataclass_fields__  # type: ignore[attr-defined]
+    for field in dataclasses.fields(Flags):  # go behind the script's own
+        fields[field.name] = fields.pop(field.name)
     width = min(shutil.get_terminal_size().columns, 120) - 1
     for paragraph in doc.strip().split("\n\n"):
         if not paragraph.startswith("    "):  # formulas and commands keep their lines

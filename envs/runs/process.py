@@ -20,7 +20,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from envs import fast_mkl
+from envs.runs import fast_mkl
 from envs.vector import InputError
 
 ECHO_SECONDS = 3.0  # within which a signal is the same one again

@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from envs.runs.directory import MAPPED, naming
+from envs.runs.directory import naming
 from envs.runs.process import say
 from envs.vector import InputError
 
@@ -64,15 +64,13 @@ class EpisodeFile:
                 if hasattr(os, "posix_fallocate"):  # take the room at once, not when the disk is full
                     os.posix_fallocate(file.fileno(), 0, room)
         self.slots: Any = np.memmap(path, slot, "r+")
-        MAPPED[path] = self
         numbers = np.arange(max(played - size, 0), played) + 1
         if not np.array_equal(self.slots["number"][(numbers - 1) % n_slots], numbers):
             raise InputError(f"{path} is damaged: it does not hold the last episodes of this run.")
 
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing: a checkpoint refers to what it finds on the disk."""
+    def flush(self) -> None:
+        """Writes what is still in memory only: a checkpoint refers to what it finds on the disk."""
         self.slots.flush()
-        return {}
 
     def close(self) -> None:
         """Ends the use of the file, so that it can be deleted; it holds no episodes any more."""

@@ -3,7 +3,7 @@
 PyTorch's matrix products come from Intel's library MKL, which takes slower kernels where the processor does not say
 that it is Intel's. It asks a function of its own, `mkl_serv_intel_cpu_true`. A library that is loaded before PyTorch
 and answers yes makes it take the fast ones, which choose their instructions by what the processor has. Results differ
-in rounding. `import envs` does this, and the environment variable MARL_FAST_MKL=0 switches it off.
+in rounding. `from envs import runs` does this, and the environment variable MARL_FAST_MKL=0 switches it off.
 """
 
 from __future__ import annotations
