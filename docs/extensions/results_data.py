@@ -17,7 +17,6 @@ from reporting.plots import COLOURS  # noqa: E402
 
 ALGORITHMS = results.ALGORITHMS
 FAMILIES = results.PAPER_FAMILIES
-FIGURES = ROOT / "benchmark" / "figures"
 RESULTS = results.RESULTS
 OTHER_COLOUR = "#666666"
 TITLES = tables.TITLES
@@ -35,11 +34,6 @@ def paper_tasks() -> list[str]:
     from envs.tasks import PAPER_TASKS
 
     return tables.in_order(pd.Series(PAPER_TASKS))
-
-
-def family(task: str) -> str:
-    """The paper's family of a task."""
-    return results.family(task)
 
 
 def colour(algorithm: str) -> str:
@@ -64,6 +58,11 @@ def curves() -> pd.DataFrame:
     return table.assign(interval=results.interval(table["deviation"], table["seeds"])).reset_index()
 
 
+def seeds() -> pd.Series:
+    """How many seeds there are, by task, algorithm and sharing."""
+    return curves().groupby(["task", "algorithm", "sharing"])["seeds"].max()
+
+
 def cells(metric: str) -> pd.DataFrame:
     """Our cells of one of the paper's tables, with the paper's beside them; see `tables.compare`."""
     both = report().both
@@ -78,13 +77,6 @@ def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]
     known = {(row.task, row.algorithm, row.sharing): (row.mean, row.interval) for row in chosen.itertuples()}
     ours = {results.paper_task(task): task for task in paper_tasks()}
     return {(ours[task], *key): value for (task, *key), value in known.items() if task in ours}
-
-
-def marks(algorithm: str, task: str, sharing: bool, metric: str) -> str:
-    """The signs of the tables' legend that belong to a cell of ours."""
-    chosen = cells(metric)
-    chosen = chosen[(chosen["algorithm"] == algorithm) & (chosen["task"] == task) & (chosen["sharing"] == sharing)]
-    return "".join(tables.signs(cell) for cell in chosen.itertuples())
 
 
 @lru_cache
@@ -111,11 +103,6 @@ def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int
     return " ".join(words)
 
 
-def number(mean: float, interval: float) -> str:
-    """A mean and its interval as text."""
-    return tables.number(mean, interval)
-
-
 @lru_cache
 def verdicts() -> list[tuple[str, str, str, str, str, str]]:
     """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures, and the cells
@@ -126,6 +113,15 @@ def verdicts() -> list[tuple[str, str, str, str, str, str]]:
     ]
 
 
-def speeds() -> pd.DataFrame:
-    """Steps per second: task, family, whose, steps_per_second."""
-    return report().speeds
+def one_command(algorithm: str) -> str:
+    """The shortest of the paper's trainings, what it returned at its end, and its time."""
+    task = "matrix-climbing"
+    table = report().shown
+    table = table[(table["task"] == task) & (table["algorithm"] == algorithm) & table["sharing"]]
+    last = table[table["point"] == table["point"].max()]
+    minutes = last["cpu_seconds"] / 60
+    return (
+        f"`python algos/{algorithm}.py --env {task}`: {last['return_mean'].mean():.0f} at the end, the mean of "
+        f"{len(last)} seeds (275 is the most that the game gives); {last['timestep'].mean() / 1e6:g} million steps in "
+        f"{minutes.min():.1f} to {minutes.max():.1f} minutes of one CPU core"
+    )
