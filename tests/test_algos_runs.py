@@ -845,7 +845,10 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     script_main(name)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and "episode_length" in said[0]
-    assert said[1] == f"film: {copy / 'film.gif'}"
+    assert said[1:] == [f"film: {copy / 'film.gif'}", f"episodes: {copy / 'episodes.csv'}"]
+    with open(copy / "episodes.csv") as file:
+        returns = [float(row["return"]) for row in csv.DictReader(file)]
+    assert len(returns) == 3 and said[0].startswith(f"return_mean {np.mean(returns):.3f}")
     with Image.open(copy / "film.gif") as film:
         assert getattr(film, "n_frames", 1) > 3
 

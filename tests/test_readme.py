@@ -40,16 +40,18 @@ def test_the_trained_team_in_a_few_lines(tmp_path):
     flags = ["--env", "lbf-15x15-3p-5f", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
     trained = run(str(ROOT / "algos/mappo.py"), *flags, "--seed", "1", folder=tmp_path)
     assert trained.returncode == 0
-    [program] = blocks(HOW_TO / "evaluate-and-film-a-team.md")
-    program = program.replace("/path/to/marl-baselines/algos", str(ROOT / "algos"))
-    program = program.replace("/path/to/marl-baselines/", f"{tmp_path}/")
+    programs = blocks(HOW_TO / "evaluate-and-film-a-team.md")
+    programs = [text.replace("/path/to/marl-baselines/algos", str(ROOT / "algos")) for text in programs]
+    program, *others = (text.replace("/path/to/marl-baselines/", f"{tmp_path}/") for text in programs)
     lines = [line for line in program.splitlines() if line and "env =" not in line and "env.reset" not in line]
     assert len(lines) == 5  # as the page says, besides the two that make an environment
     done = run("-c", program + "print(actions.shape)", folder=tmp_path)
     assert done.stdout.strip() == "(4, 3)", done.stderr
+    done = run("-c", "\n".join([program, *others]), folder=tmp_path)
+    assert "'return_mean': " in done.stdout and len(others) == 2, done.stderr
 
 
-@pytest.mark.parametrize("index", range(3))
+@pytest.mark.parametrize("index", range(4))
 @pytest.mark.slow
 def test_our_environments_in_your_code(index, tmp_path):
     done = run("-c", blocks(HOW_TO / "use-pettingzoo-or-gymnasium.md")[index], folder=tmp_path)
