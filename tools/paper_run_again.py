@@ -2,16 +2,21 @@
 
     python tools/paper_run_again.py opponents
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
+    python tools/paper_run_again.py page
 
-`PARTS` at the end lists the parts. Probes of the paper's networks need its files, which are not in this repository;
-examples/paper_opponents.py converts them.
+The last one writes the figures of all parts into docs/paper-run-again.md, as after new results; read the page's
+sentences then, too. `PARTS` at the end lists the parts. Probes of the paper's networks need its files, which are not in
+this repository; examples/paper_opponents.py converts them.
 
 A test holds the page's figures against what this prints.
 """
 
+import contextlib
 import functools
+import io
 import itertools
 import json
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -31,6 +36,7 @@ from benchmark.report import Report
 from benchmark.store import FAMILIES, INDEPENDENT, RESULTS, SHARED, paper_cells
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "paper-run-again.md"
 ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
 OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
 MATRIX = ["matrix-climbing", *(f"matrix-penalty-{k}" for k in (0, 25, 50, 75, 100))]
@@ -321,7 +327,25 @@ PARTS: dict[str, Callable[..., None]] = {
     )
 }
 
+
+def write_page() -> None:
+    """Puts the present figures into the page."""
+
+    def block(shown: re.Match[str]) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            PARTS[shown[2]](*[[]] * (shown[2] == "probes"))
+        return f"{shown[1]}{printed.getvalue()}```"
+
+    text = PAGE.read_text(encoding="utf-8")
+    command = r"(\$ python tools/paper_run_again\.py (\w+)\n).*?```"
+    PAGE.write_text(re.sub(command, block, text, flags=re.DOTALL), encoding="utf-8")
+
+
 if __name__ == "__main__":
+    if sys.argv[1:] == ["page"]:
+        write_page()
+        sys.exit()
     if len(sys.argv) < 2 or sys.argv[1] not in PARTS or (len(sys.argv) > 2 and sys.argv[1] != "probes"):
         sys.exit(__doc__)
     PARTS[sys.argv[1]](*[sys.argv[2:]] * (sys.argv[1] == "probes"))
