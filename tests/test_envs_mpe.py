@@ -552,8 +552,8 @@ def test_the_prey_that_is_near_the_papers() -> None:
         figures = [{name: float(row[name]) for name in probes} for row in rows if row["task"] == task]
         near[task] = min(figures, key=lambda each: opponents.distance(task, each))
         assert (opponents.distance(task, near[task]) < np.inf) == (task == "mpe-tag")
-    file = ROOT / "tools/opponents/prey.npz"
-    prey = mpe.Env("mpe-tag", 3_000, 0, False, **envs.task("mpe-tag").settings, opponent=file)
+    archive = ROOT / "tools/opponents/prey.npz"
+    prey = mpe.Env("mpe-tag", 3_000, 0, False, **envs.task("mpe-tag").settings, opponent=archive)
     for name, figure in near["mpe-tag"].items():
         assert abs(opponents.mean_return(prey, opponents.PROBES["mpe-tag"][name].act) - figure) < 0.01, name
 
