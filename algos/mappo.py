@@ -236,15 +236,15 @@ class SamplingTeam:
         self.args, self.agents, self.rng, self.greedy = args, agents, rng, greedy
         self.reset()
 
-    def reset(self) -> None:
-        """Forgets the last episode. To be called before each new one."""
-        self.hidden: list | None = None
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forgets the last episode. To be called before each new one. mask, [env]: only there."""
+        self.hidden: list | None = None if mask is None else runs.forgotten(self.hidden, mask)
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
-        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"]).to(self.args.device)  # [env, agent, action]
+        inputs = torch.from_numpy(observations)[None].float().to(self.args.device)  # one time step
+        masks = torch.from_numpy(info["action_mask"]).bool().to(self.args.device)  # [..., action]
         logits, self.hidden = self.agents(inputs, self.hidden)
         if self.greedy:
             return torch.where(masks, logits[0], -torch.inf).argmax(-1).cpu().numpy()

@@ -233,15 +233,15 @@ class EpsilonGreedyTeam:
         self.epsilon = 0.0 if greedy else args.eval_epsilon  # `train` sets its own
         self.reset()
 
-    def reset(self) -> None:
-        """Forgets the last episode. To be called before each new one."""
-        self.hidden: list | None = None
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forgets the last episode. To be called before each new one. mask, [env]: only there."""
+        self.hidden: list | None = None if mask is None else runs.forgotten(self.hidden, mask)
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
-        inputs = torch.from_numpy(observations).unsqueeze(0).to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"])  # [env, agent, action]
+        inputs = torch.from_numpy(observations)[None].float().to(self.args.device)  # one time step
+        masks = torch.from_numpy(info["action_mask"]).bool()  # [env, agent, action]
         q_values, self.hidden = self.agents(inputs, self.hidden)
         explores = torch.rand(masks.shape[:-1], generator=self.rng).unsqueeze(-1) < self.epsilon
         random_scores = torch.rand(masks.shape, generator=self.rng)

@@ -14,8 +14,12 @@ docs/how-to/compare-mine.md is an example from beginning to end.
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import NamedTuple
+
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import pandas as pd
@@ -24,10 +28,10 @@ from matplotlib.ticker import EngFormatter
 from scipy.stats import t
 
 import envs
+from benchmark import plots
+from benchmark.store import RESULTS, load
 from envs import runs
 from envs.runs import one_sentence
-from reporting import plots
-from reporting.results import RESULTS, load
 
 LEVEL = 0.05
 GROUP = ["task", "sharing", "setting", "total_timesteps"]  # what both sides must have in common

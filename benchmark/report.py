@@ -6,7 +6,7 @@ writes into the output folder
 
     RESULTS.md     tables, figures and claims
     figures/       the figures, PNG and SVG
-    latex/         the paper's tables with our values, one file each
+    tables.csv     the cells of all tables, ours and the paper's
     evaluations.csv.gz     every evaluation of every run, one row each
 
 and, where the output is this folder, the short version into the repository's README.md, between two markers.
@@ -14,27 +14,31 @@ and, where the output is this folder, the short version into the repository's RE
 
     python benchmark/report.py --grid benchmark/searches/paper
 
-prints the variants of a search (`reporting/search.py`), the best first, and writes nothing.
+prints the variants that a search has run (`benchmark/README.md`), the best first, and writes nothing.
 """
 
 import argparse
 import gzip
 import hashlib
+import itertools
 import json
+import sys
 import textwrap
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from envs import runs
-from envs.runs import one_sentence
-from reporting import aggregate, agreement, claims, plots, tables
-from reporting.results import (
+from benchmark import agreement, claims, measures, plots, tables
+from benchmark.measures import in_tables, our_cells
+from benchmark.store import (
     FAMILIES,
     HERE,
     KEY,
@@ -43,17 +47,15 @@ from reporting.results import (
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
-    in_tables,
     load,
-    our_cells,
     paper_cells,
     speeds,
 )
-from reporting.search import search_report
+from envs import runs
+from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
-FILE = {True: "shared", False: "independent"}
 EVALUATIONS = "evaluations.csv.gz"
 EVALUATION_COLUMNS = [
     *("task", "family", "algorithm", "sharing", "setting", "total_timesteps", "seed", "timestep"),
@@ -72,8 +74,8 @@ class Report:
         self.both = tables.compare(self.ours, self.paper)
         self.compared = self.both[self.both["difference"].notna()]  # with the paper's
         self.counted = agreement.counted(self.compared)
-        self.normalised = aggregate.normalise(self.evaluations)
-        self.hours = aggregate.cpu_hours(self.evaluations)
+        self.normalised = measures.normalise(self.evaluations)
+        self.hours = measures.cpu_hours(self.evaluations)
         self.speeds = speeds(results)
         self.digest = digest(results)
 
@@ -81,14 +83,14 @@ class Report:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
         for family in FAMILIES:
-            for sharing, name in FILE.items():
+            for sharing in plots.SHARING:
                 if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
-                    made[f"curves-{family}-{name}"] = partial(plots.learning_curves, self.shown, family, sharing)
-        for sharing, name in FILE.items():
+                    made[f"curves-{family}-{sharing}"] = partial(plots.learning_curves, self.shown, family, sharing)
+        for sharing in plots.SHARING:
             if (self.normalised["sharing"] == sharing).any():
-                made[f"normalised-{name}"] = partial(plots.normalised_curves, self.normalised, sharing)
-                made[f"profiles-{name}"] = partial(plots.profiles, self.normalised, sharing)
-        if len(aggregate.sharing_means(self.ours)):
+                made[f"normalised-{sharing}"] = partial(plots.normalised_curves, self.normalised, sharing)
+                made[f"profiles-{sharing}"] = partial(plots.profiles, self.normalised, sharing)
+        if len(measures.sharing_means(self.ours)):
             made["sharing"] = partial(plots.sharing_effect, self.ours, self.paper)
         if len(self.hours):
             made["cpu-hours"] = partial(plots.cpu_hours, self.hours)
@@ -146,7 +148,7 @@ class Report:
                 tables.TITLES[cell.metric],
                 cell.task,
                 cell.algorithm.upper(),
-                "yes" if cell.sharing else "no",
+                cell.sharing,
                 str(cell.seeds),
                 tables.number(cell.value, cell.interval),
                 tables.number(cell.paper_mean, cell.paper_interval),
@@ -155,53 +157,50 @@ class Report:
             ]
             for cell in cells.rename(columns={"mean": "value"}).itertuples()
         ]
-        return tables.to_markdown(header, body) if body else "None."
+        return tables.to_markdown(header, body) or "None."
 
-    def interquartile_means(self, sharing: bool) -> str:
+    def interquartile_means(self, sharing: str) -> str:
         """By algorithm and family, with intervals where all tasks have several seeds; tasks and runs in brackets."""
         families = [name for name in FAMILIES if (self.normalised["family"] == name).any()]
-        scores = {name: aggregate.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
-        body = []
-        for algorithm in algorithm_order(self.normalised["algorithm"]):
-            cells = []
-            for name in families:
-                tasks = list(scores[name].get((algorithm, sharing), {}).values())
-                numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
-                cells.append(score_text(aggregate.interquartile_mean, tasks) + numbers if tasks else "")
-            if any(cells):
-                body.append([algorithm.upper(), *cells])
-        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body) if body else ""
+        scores = {name: measures.final_scores(self.normalised[self.normalised["family"] == name]) for name in families}
 
-    def improvements(self, sharing: bool) -> str:
+        def cell(algorithm: str, family: str) -> str:
+            tasks = list(scores[family].get((algorithm, sharing), {}).values())
+            numbers = f" ({len(tasks)}, {sum(map(len, tasks))})"
+            return score_text(measures.interquartile_mean, tasks) + numbers if tasks else ""
+
+        titles = {name: FAMILIES[name] for name in families}
+        return tables.grid(in_capitals(self.normalised["algorithm"]), titles, cell)
+
+    def improvements(self, sharing: str) -> str:
         """How probably the algorithm of a line beats that of a column, over the tasks that both were run on."""
-        scores = aggregate.final_scores(self.normalised)
-        present = algorithm_order(name for name, with_sharing in scores if with_sharing == sharing)
-        body = []
-        for name in present:
-            cells = []
-            for other in present:
-                ours, theirs = scores[name, sharing], scores[other, sharing]
-                common = sorted(ours.keys() & theirs.keys())
-                if other == name or not common:
-                    cells.append("")
-                    continue
-                pair = [ours[task] for task in common], [theirs[task] for task in common]
-                cells.append(score_text(aggregate.probability_of_improvement, *pair))
-            body.append([name.upper(), *cells])
-        return tables.to_markdown(["", *map(str.upper, present)], body) if body else ""
+        scores = measures.final_scores(self.normalised)
+
+        def cell(name: str, other: str) -> str:
+            ours, theirs = scores[name, sharing], scores[other, sharing]
+            common = sorted(ours.keys() & theirs.keys())
+            pair = [ours[task] for task in common], [theirs[task] for task in common]
+            return score_text(measures.probability_of_improvement, *pair) if common and other != name else ""
+
+        present = in_capitals(name for name, with_sharing in scores if with_sharing == sharing)
+        return tables.grid(present, present, cell)
 
     def cpu_table(self) -> str:
         """Mean CPU hours of a run by algorithm and family."""
-        families = [name for name in FAMILIES if name in self.hours.index.get_level_values("family")]
-        body = []
-        for algorithm in algorithm_order(self.hours.index.get_level_values("algorithm")):
-            for sharing in (True, False):
-                keys = [(name, algorithm, sharing) for name in families]
-                rows = [self.hours.loc[key] if key in self.hours.index else None for key in keys]
-                cells = ["" if row is None else f"{row['mean']:.3f} ({row['runs']:.0f})" for row in rows]
-                if any(cells):
-                    body.append([f"{algorithm.upper()}, {plots.SHARING[sharing]}", *cells])
-        return tables.to_markdown(["", *(FAMILIES[name] for name in families)], body)
+        index = self.hours.index
+
+        def cell(row: tuple[str, str], family: str) -> str:
+            key = (family, *row)
+            return "{mean:.3f} ({runs:.0f})".format(**self.hours.loc[key]) if key in index else ""
+
+        algorithms = in_capitals(index.get_level_values("algorithm"))
+        rows = {
+            (name, sharing): f"{title}, {words}"
+            for name, title in algorithms.items()
+            for sharing, words in plots.SHARING.items()
+        }
+        there = {name: title for name, title in FAMILIES.items() if name in index.get_level_values("family")}
+        return tables.grid(rows, there, cell)
 
     def cpu_sentence(self) -> str:
         """What all runs took together, beside the paper's."""
@@ -224,7 +223,7 @@ class Report:
 
     def verdicts(self) -> list[tuple[claims.Claim, claims.Verdict, claims.Verdict]]:
         """The paper's claims, judged by its own tables and by our results."""
-        hours = aggregate.hours_of_cells(self.shown)
+        hours = measures.hours_of_cells(self.shown)
         return [*zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours, hours))]
 
     def claims_table(self) -> tuple[str, str]:
@@ -242,7 +241,7 @@ class Report:
             f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured; "
             f"{len(verdicts) - len(body)} of these have no figure at all."
         )
-        return tables.to_markdown(header, body) if body else "", counts
+        return tables.to_markdown(header, body), counts
 
     def long(self) -> str:
         """What stands in RESULTS.md."""
@@ -252,32 +251,22 @@ class Report:
         parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
         if len(self.compared):
             parts.append(self.agreement_table())
-        parts += ["## Tables", tables.LEGEND]
-        for metric, title in tables.TITLES.items():
-            for sharing, words in plots.SHARING.items():
-                if table := tables.markdown(self.both, metric, sharing):
-                    parts += [f"### {title}, {words}", table]
+        parts += ["## Tables", tables.LEGEND, *titled_tables(self.both)]
         if len(self.compared):
             parts += ["### Where we do not agree with the paper", self.differences()]
         if len(self.against_own):
             own = tables.compare(our_cells(self.evaluations, own_opponent=True), self.paper)
-            parts += ["## Against our own opponents", OWN_OPPONENTS]
-            for metric, title in tables.TITLES.items():
-                for sharing, words in plots.SHARING.items():
-                    if table := tables.markdown(own, metric, sharing):
-                        parts += [f"### {title} against our own opponents, {words}", table]
+            parts += ["## Against our own opponents", OWN_OPPONENTS, *titled_tables(own, " against our own opponents")]
         if table := tables.variants(self.evaluations, pd.concat([self.shown, self.against_own])):
             parts += ["### Other flags and budgets", table]
         if figures := self.figures():
             parts += ["## Figures", *(f"![{name}](figures/{name}.png)" for name in figures)]
         if len(self.normalised):
             parts += ["## Over all tasks", OVER_ALL]
-        for sharing, words in plots.SHARING.items():
-            if table := self.interquartile_means(sharing):
-                parts += [f"### Interquartile means, {words}", table]
-        for sharing, words in plots.SHARING.items():
-            if table := self.improvements(sharing):
-                parts += [f"### Probability of improvement, {words}", table]
+        of_all = {"Interquartile means": self.interquartile_means, "Probability of improvement": self.improvements}
+        for (title, make), (sharing, words) in itertools.product(of_all.items(), plots.SHARING.items()):
+            if table := make(sharing):
+                parts += [f"### {title}, {words}", table]
         if len(self.hours):
             parts += ["## CPU hours a run (number of runs)", self.cpu_table(), self.cpu_sentence()]
         if len(self.speeds):
@@ -313,7 +302,7 @@ replication."""
 
 MAXIMA_WORDS = """\
 The maximum of a single seed is the best of 41 points, and picks more of their noise than the maximum of a mean of five
-seeds. The last column is without this surplus, as `benchmark/reporting/agreement.py` estimates it."""
+seeds. The last column is without this surplus, as `benchmark/agreement.py` estimates it."""
 
 
 OWN_OPPONENTS = """\
@@ -332,7 +321,7 @@ were run on different tasks do not compare in the first table."""
 
 CLAIMS_WORDS = """\
 A selection of what the paper's sections 5 and 6 say, by maximum returns with sharing unless a sentence says otherwise;
-in brackets how a sentence is read here. The head of `benchmark/reporting/claims.py` says what the words mean, and
+in brackets how a sentence is read here. The head of `benchmark/claims.py` says what the words mean, and
 `benchmark/paper/claims.csv` what must hold. By these meanings some of the sentences do not hold in the paper's own
 tables. Too close to call: the cells with fewer than five seeds were completed to five 400 times, with the spread of the
 paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
@@ -349,9 +338,23 @@ def fill(text: str) -> str:
     return textwrap.fill(text, 120, break_on_hyphens=False)
 
 
+def titled_tables(both: pd.DataFrame, of: str = "") -> list[str]:
+    """The paper's tables that we have results for, a title before each. of: what the title adds."""
+    parts = []
+    for (metric, title), (sharing, words) in itertools.product(tables.TITLES.items(), plots.SHARING.items()):
+        if table := tables.markdown(both, metric, sharing):
+            parts += [f"### {title}{of}, {words}", table]
+    return parts
+
+
+def in_capitals(algorithms: Iterable[str]) -> dict[str, str]:
+    """Algorithms in the tables' order, with their names as titles show them."""
+    return {name: name.upper() for name in algorithm_order(algorithms)}
+
+
 def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> str:
     """A measure of one or two teams' scores, with its interval where all tasks have several seeds."""
-    value, low, high = aggregate.with_interval(measure, *teams)
+    value, low, high = measures.with_interval(measure, *teams)
     several = all(len(seeds) > 1 for team in teams for seeds in team)
     return f"{value:.2f} [{low:.2f}, {high:.2f}]" if several else f"{value:.2f}"
 
@@ -387,7 +390,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
             for row in run.itertuples()
         }
         steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
-        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{FILE[sharing]}", {})
+        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{sharing}", {})
         runs[f"seed_{seed}"] = steps
     return made
 
@@ -395,12 +398,10 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
 def evaluations_csv(evaluations: pd.DataFrame) -> str:
     """Every evaluation of every run as CSV, for a reader's own analysis.
 
-    sharing: "shared" or "independent"; setting: the flags that differ from the paper's, as JSON; return and return_std:
-    mean and standard deviation over an evaluation's episodes; cpu_seconds: of the run up to there; commit: with which
-    the run was made.
+    setting: the flags that differ from the paper's, as JSON; return and return_std: mean and standard deviation over an
+    evaluation's episodes; cpu_seconds: of the run up to there; commit: with which the run was made.
     """
-    table = evaluations.assign(sharing=evaluations["sharing"].map(FILE)).rename(columns={"return_mean": "return"})
-    table = table.sort_values([*KEY, "seed", "point"])
+    table = evaluations.sort_values([*KEY, "seed", "point"]).rename(columns={"return_mean": "return"})
     return table.to_csv(columns=EVALUATION_COLUMNS, index=False, float_format="%.6g", lineterminator="\n")
 
 
@@ -425,20 +426,18 @@ def main() -> None:
     args = parser.parse_args()
     try:
         if args.grid:
-            print(search_report(args.grid))
+            print(tables.variants(load(args.grid)))
             return
         report = Report(args.results)
         if args.marl_eval:  # first: where this cannot be written, the others stay as they are
             runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
         (args.output / "figures").mkdir(parents=True, exist_ok=True)
-        (args.output / "latex").mkdir(exist_ok=True)
-        texts = {args.output / "RESULTS.md": report.long() + "\n"}
+        texts = {
+            args.output / "RESULTS.md": report.long() + "\n",
+            args.output / "tables.csv": tables.to_csv(report.both),
+        }
         if args.output.resolve() == HERE:
             texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
-        for metric in tables.TITLES:
-            for sharing, name in FILE.items():
-                if table := tables.latex(report.both, metric, sharing):
-                    texts[args.output / "latex" / f"{metric.replace('_', '-')}-{name}.tex"] = table
         for name, draw in report.figures().items():
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():

@@ -18,66 +18,57 @@ import functools
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-import envs
-from campaign import plan
-from campaign.campaign import SIGNALS, Campaign, Job, LocalJob
-from campaign.plan import PlannedRun
-from campaign.view import duration, make_view, read_progress
-from envs.runs import one_sentence
-from reporting.results import PAPER_FAMILIES, RESULTS
-from time_training import measure
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-TIMING_SECONDS = 1.0
+import envs
+from benchmark import plan, store
+from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, duration, share_done
+from benchmark.plan import PlannedRun
+from envs.runs import one_sentence
+
 GRID_SEEDS, SEEDS = 3, 5  # as in the paper
 RESULTS_HELP = """where complete runs are collected; what is there counts as done. Default: benchmark/results, with the
 committed results, or with --grid benchmark/searches/<grid>"""
 
 
 def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
-    """Prints the plan, and what is left of it in core hours, from a short timing of each setting. Gives the exit code:
-    1 where a run would fail, as with a damaged table of the results.
-
-    The timing counts the processor's time, so that what else the machine does hardly matters.
+    """Prints the plan, and what is left of it in core hours, from what runs of the same settings took. Gives the exit
+    code: 1 where a run would fail, as with a damaged table of the results.
     """
-    left = 0  # runs
-    steps: dict[tuple[str, str, bool], float] = {}
-    examples: dict[tuple[str, str, bool], PlannedRun] = {}
+    left: dict[tuple[str, str, str, str], list[float]] = {}  # timesteps of each run, by setting
     code = 0
     for run in runs:
         try:
-            there = plan.condition(run, results)
+            there = store.condition(run, results)
         except (ValueError, OSError) as error:
             print(f"{run}: would fail, {error}")
             code = 1
             continue
         print(f"{run}: {there}")
         if there in ("new", "begun"):
-            left += 1
-            setting = run.task, run.algorithm, run.sharing
-            examples.setdefault(setting, run)
-            share = read_progress(run.directory).share if there == "begun" else 0.0
-            steps[setting] = steps.get(setting, 0) + run.total_timesteps * (1 - share)
-    if not examples:
+            share = share_done(run.directory) if there == "begun" else 0.0
+            setting = run.task, run.algorithm, run.sharing, store.trained(run.changed)
+            left.setdefault(setting, []).append(run.total_timesteps * (1 - share))
+    if not left:
         print("Nothing is left to run.")
         return code
-    print(
-        f"\nTiming {len(examples)} settings for some {TIMING_SECONDS:g} s of the processor each: one thread, training"
-    )
-    print("without evaluations, and of a grid the first variant ...")
-    hours = 0.0
-    for setting, run in examples.items():
-        flags = plan.script_flags(run.task, run.sharing, run.flags)
-        rate = measure(run.algorithm, flags, TIMING_SECONDS, time.process_time).rate
-        needed = steps[setting] / rate / 3600
-        hours += needed
-        name = f"{run.task} {run.algorithm} {'shared' if run.sharing else 'independent'}"
-        print(f"{name}: {rate:,.0f} steps/s, {needed:.2f} core hours", flush=True)
-    wait = duration(hours * 3600 / min(jobs, left))
-    print(f"\nIn all {hours:.1f} core hours, with --jobs {jobs} about {wait} (h:min:s).")
+    costs = store.step_costs(*{results, store.RESULTS})
+    hours = {setting: sum(steps) * costs[setting] / 3600 for setting, steps in left.items() if setting in costs}
+    print("\nCore hours, from the CPU seconds of the runs that the results have of the same setting:")
+    for setting, steps in left.items():
+        known = f"{hours[setting]:.2f} core hours" if setting in hours else "not known, the results have no such run"
+        changed = "" if setting[3] == store.PAPER_SETTING else f" with {setting[3]}"
+        print(f"{' '.join(setting[:3])}{changed}: {len(steps)} run{'s' * (len(steps) != 1)}, {known}")
+    if hours:
+        total, number = sum(hours.values()), sum(len(left[setting]) for setting in hours)
+        wait = duration(total * 3600 / min(jobs, number))
+        print(f"\nIn all {total:.1f} core hours, with --jobs {jobs} about {wait} (h:min:s).")
+    if hours and len(hours) < len(left):
+        print(f"Not counted: {len(left) - len(hours)} of {len(left)} settings.")
     return code
 
 
@@ -90,7 +81,7 @@ def parse() -> argparse.Namespace:
         nargs="+",
         required=True,
         metavar="name",
-        help=f"tasks, families ({', '.join(PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all",
+        help=f"tasks, families ({', '.join(store.PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all",
     )
     parser.add_argument(
         "--sharing",
@@ -116,9 +107,9 @@ def parse() -> argparse.Namespace:
 
 def run_campaign(args: argparse.Namespace) -> int:
     """Plans, runs and reports; gives the exit code."""
-    sharings = {"shared": [True], "independent": [False], "both": [True, False]}[args.sharing]
+    sharings = [*store.SHARING.values()] if args.sharing == "both" else [args.sharing]
     seeds = args.seeds or (GRID_SEEDS if args.grid else SEEDS)
-    results = args.results or (RESULTS.with_name("searches") / args.grid.stem if args.grid else RESULTS)
+    results = args.results or (store.HERE / "searches" / args.grid.stem if args.grid else store.RESULTS)
     grid = plan.read_grid(args.grid) if args.grid else None
     algorithms, tasks = plan.chosen_algorithms(args.algorithms), plan.chosen_tasks(args.tasks)
     runs = plan.make_plan(algorithms, tasks, sharings, seeds, tuple(args.flags), grid, args.runs.resolve())
@@ -135,14 +126,13 @@ def run_campaign(args: argparse.Namespace) -> int:
     places: Callable[[], int] = functools.partial(int, jobs)
     if args.ray:
         envs.optional("ray")
-        from campaign import cluster
+        from benchmark import cluster
 
         connection = cluster.Connection(args.ray, args.jobs)
         start, places = connection.start, connection.places
-    for folder in (args.runs, results):
-        folder.mkdir(parents=True, exist_ok=True)
-    (results / ".lock").touch()  # collecting begins with it; what is not possible is to be known before hours of runs
-    campaign = Campaign(runs, args.runs.resolve(), results, start, places, make_view())
+    args.runs.mkdir(parents=True, exist_ok=True)
+    store.lock(results)  # that it cannot be written is to be known before hours of runs
+    campaign = Campaign(runs, args.runs.resolve(), results, start, places)
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN or number == signal.SIGINT:  # nohup has SIGHUP ignored
             signal.signal(number, campaign.ask_to_stop)

@@ -10,8 +10,6 @@ With --output the figures also go to a CSV, where they take the place of those o
 `taskset -c 0 python benchmark/time_stepping.py`.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import math
@@ -21,13 +19,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+if not __package__:  # as a program, from any folder
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
-import pandas as pd
 
 import envs
+from benchmark import store
 from envs import runs
 from envs.runs import one_sentence
-from reporting.results import PAPER, SPEED_COLUMNS, paper_task, read_speeds
 
 ACTIONS = 1000  # joint actions drawn beforehand
 TRIALS = 20  # episodes of each sub-environment that say how many steps they have
@@ -178,17 +178,6 @@ def label(num_envs: int) -> str:
     return f"ours, num_envs={num_envs}"
 
 
-def keep(path: Path, task: str, speeds: dict[str, float], origin: dict[str, Any]) -> None:
-    """Puts the speeds of a task into the CSV, in place of those that it has, with the processor and the commit."""
-    rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": list(speeds.values())})
-    rows["steps_per_second"] = rows["steps_per_second"].round().astype(int)
-    rows = rows.assign(processor=origin["machine"]["processor"], commit=origin["commit"])[SPEED_COLUMNS]
-    there = read_speeds(path)
-    others = there[there["task"] != task]
-    rows = pd.concat([others, rows]) if len(others) else rows
-    runs.write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
-
-
 @one_sentence(__file__)
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
@@ -202,7 +191,7 @@ def main() -> None:
         parser.error("--num-envs and --seconds must be positive numbers")
     if args.output:
         try:
-            read_speeds(args.output)
+            store.read_speeds(args.output)
         except ValueError as error:
             parser.error(f"--output: {error}")
         if not args.output.parent.is_dir():
@@ -211,8 +200,7 @@ def main() -> None:
         envs.make(name, max(args.num_envs)).close()
     origin = runs.provenance()  # now: what is written into a checkout makes it dirty
 
-    table = pd.read_csv(PAPER / "env_speed.csv", index_col="task")
-    paper = 10_000 / table["seconds_per_10000_steps"]
+    paper = store.paper_speeds()
     print(f"{'task':<24}{'paper':>12}{'original':>12}" + "".join(f"{number:>12} envs" for number in args.num_envs))
     for name in args.tasks:
         speeds = {}
@@ -220,12 +208,12 @@ def main() -> None:
             speeds["original package"] = rate(play, args.seconds)
         for number in args.num_envs:
             speeds[label(number)] = rate(ours(name, number), args.seconds)
-        theirs = paper.get(paper_task(name))
+        theirs = paper.get(store.paper_task(name))
         cells = [f"{value:>12,.0f}" if value else f"{'-':>12}" for value in (theirs, speeds.get("original package"))]
         cells += [f"{speeds[label(number)]:>17,.0f}" for number in args.num_envs]
         print(f"{name:<24}" + "".join(cells), flush=True)
         if args.output:
-            keep(args.output, name, speeds, origin)
+            store.keep_speeds(args.output, name, speeds, origin)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,9 @@
-"""The site: `pip install -e '.[docs]' && sphinx-build docs site`. Most pages are made from scripts and results."""
+"""The site: `pip install -e '.[docs]' && sphinx-build docs site`. Most pages are made from scripts and results.
 
+REPOSITORY_URL, if it is set, is the address of the repository that pages link to, such as GitHub's workflow knows it.
+"""
+
+import os
 import sys
 from pathlib import Path
 
@@ -8,36 +12,56 @@ sys.path[:0] = [str(HERE.parent), str(HERE / "extensions")]  # envs, and the sit
 
 project = "marl-baselines"
 author = "The marl-baselines authors"
-copyright = "the marl-baselines authors"
+copyright = "the marl-baselines authors, MIT license"
 html_title = "marl-baselines"
+repository = os.environ.get("REPOSITORY_URL", "").rstrip("/")
 
 extensions = [
     "myst_parser",
-    "sphinx.ext.autodoc",
+    "sphinx_design",
+    "sphinx_copybutton",
     "mathml",
+    "papers",
     "algorithm_pages",
     "environment_pages",
     "reference_page",
     "results_pages",
 ]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["data", "films", "extensions", "algorithms/common.md"]
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+exclude_patterns = ["data", "films", "extensions"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 4
-autodoc_typehints = "signature"
-autodoc_member_order = "bysource"
+myst_html_meta = {"description": "Nine cooperative multi-agent RL algorithms, one readable file each, explained"}
+smartquotes = False
+copybutton_exclude = ".linenos, .gp"
 
 html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_js_files = [("charts.js", {"defer": "defer"}), ("tables.js", {"defer": "defer"})]  # charts.js loads vega.js
+html_favicon = "static/favicon.svg"
 html_copy_source = False
+html_use_index = False
 html_show_sphinx = False
 html_show_search_summary = False  # it would fetch the pages that were found, which browsers forbid for file://
 html_math_renderer = "mathml"
-pygments_style = "friendly"
-pygments_dark_style = "github-dark"
+pygments_style = "a11y-light"
+pygments_dark_style = "a11y-dark"
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#1f5f8b", "color-brand-content": "#1f5f8b"},
     "dark_css_variables": {"color-brand-primary": "#8cc4ee", "color-brand-content": "#8cc4ee"},
+    "source_repository": repository,
+    "source_branch": "main",
+    "source_directory": "docs/",
 }
+
+
+def name_repository(app, docname, source):
+    """Puts the repository's address, where it is known, into commands that clone it."""
+    if repository:
+        source[0] = source[0].replace("<this repository>", repository)
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("source-read", name_repository)

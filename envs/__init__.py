@@ -147,11 +147,15 @@ def named_kwargs(name: str, env_kwargs: str) -> str:
 def optional(package: str, extra: str | None = None) -> ModuleType:
     """Imports a package that only an extra of ours brings along (by default one of the package's own name).
 
-    Raises InputError, naming the extra, where it is not installed.
+    Raises InputError, naming the extra, where it is not installed, or where it needs another package that is not.
     """
     try:
         return importlib.import_module(package)
-    except ModuleNotFoundError:
+    except ModuleNotFoundError as error:
+        if error.name and not f"{package}.".startswith(f"{error.name}."):
+            raise InputError(
+                f"{package} needs {error.name}, which is not installed; pip install {error.name} does it."
+            ) from None
         raise InputError(f"{package} is not installed; pip install -e '.[{extra or package}]' does it.") from None
 
 
@@ -168,20 +172,23 @@ def film(env: VectorEnv, team: Any, seed: int, path: str | os.PathLike[str], epi
         render.film(env, team, seed, path, episodes)
     except OSError as error:  # a directory that cannot be written, a full disk
         return f"There is no place for the film: {error}"
+    except InputError as error:  # a game of others that cannot draw what it promised
+        return f"There is no film: {error}"
     return f"film: {path}"
 
 
 def pettingzoo_env(
     name: str,
     *,
-    seed: int = 0,
+    seed: int | None = None,
     render_mode: str | None = None,
     strict: bool = False,
     env_kwargs: str | Mapping[str, Any] = "",
 ) -> PettingZooEnv:
     """Build one sub-environment of a task as a `pettingzoo.ParallelEnv`; `envs.adapters.as_pettingzoo` describes it.
 
-    render_mode: None or "rgb_array".
+    seed: as in `make`; None for one that nobody has chosen, another one for each copy.
+    render_mode: None, "rgb_array" or "human", which shows a window where there is a display.
     strict: whether an action that the mask forbids is an error. If not, the agent's first allowed action takes its
     place, because PettingZoo's own tests, and libraries that know no masks, choose any action of the action space.
     env_kwargs: as in `make`.

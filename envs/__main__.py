@@ -1,7 +1,7 @@
 """Tasks in the terminal.
 
 python -m envs                   a table of the paper's tasks
-python -m envs <name> ...        one of the named tasks
+python -m envs <name> ...        the named tasks
 python -m envs check <name>      whether an environment keeps the contract; exit code 1 if it does not
 """
 
@@ -10,19 +10,24 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from tqdm import tqdm
 
 import envs
 from envs import tasks
-from envs.check import problems
+from envs.check import hints, problems
 from envs.runs import check_flags, open_streams, with_flags
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
 
-def row(name: str) -> tuple[str, ...]:
-    """One line of the table. Raises InputError for a name that is not a task."""
+def row(name: str, options: Mapping[str, Any]) -> tuple[str, ...]:
+    """One line of the table. options: of `envs.make`. Raises InputError for a name that is not a task."""
     task = envs.task(name)
-    env = envs.make(name)
+    env = envs.make(name, **options)
     sizes = (env.n_agents, env.obs_size, env.state_size, env.n_actions, env.episode_limit)
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
@@ -37,6 +42,13 @@ def show(parser: argparse.ArgumentParser, text: str) -> None:
             parser.exit(2, f"This cannot be written: {error}.\n")
 
 
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of environments that are not ours."""
+    parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
+    parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
+    parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
+
+
 def check_task(argv: list[str]) -> None:
     """Check a task, and say what is wrong."""
     parser = argparse.ArgumentParser(
@@ -45,23 +57,23 @@ def check_task(argv: list[str]) -> None:
         "seeds, masks, resets, flags. Exit code 0: nothing; 1: something.",
     )
     parser.add_argument("name", help="a task")
-    parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
-    parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
-    parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
+    add_flags(parser)
     parser.add_argument("--env-workers", type=int, default=0, help="processes that play the episodes")
     flags = parser.parse_args(argv)
     args = vars(flags)
     name = args.pop("name")
+    progress = partial(tqdm, desc=f"checking {name}", unit=" topics", leave=False, disable=None)
 
     def make(num_envs: int, seed: int, copy: bool) -> envs.VectorEnv:
         return envs.make(name, num_envs, seed, copy, **args)
 
     try:
         check_flags(flags)
-        found = problems(make)
+        found = problems(make, progress)
+        lines = found or [f"{name} keeps the contract.", *(f"Hint: {hint}" for hint in hints(make))]
     except envs.InputError as error:
         parser.exit(2, f"{with_flags(str(error))}\n")
-    show(parser, "\n".join(found) or f"{name} keeps the contract.")
+    show(parser, "\n".join(map(with_flags, lines)))
     sys.exit(1 if found else 0)
 
 
@@ -78,11 +90,15 @@ def main(argv: list[str]) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="name", help="a task; without any, all tasks of the paper")
-    names = parser.parse_args(argv).names
+    add_flags(parser)
+    flags = parser.parse_args(argv)
+    options = vars(flags)
+    names = options.pop("names")
     try:
-        table = [HEADER, *(row(name) for name in names or envs.task_names())]
+        check_flags(flags)
+        table = [HEADER, *(row(name, options) for name in names or envs.task_names())]
     except envs.InputError as error:
-        parser.exit(2, f"{error}\n")
+        parser.exit(2, f"{with_flags(str(error))}\n")
     widths = [max(len(line[column]) for line in table) for column in range(len(HEADER))]
     lines = []
     for line in table:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from envs.vector import Info, VectorEnv
+from envs.vector import Info, InputError, VectorEnv
 
 Colour = tuple[int, int, int]
 
@@ -121,13 +121,14 @@ def save_film(
     """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
 
     The last frame stays for a second, so that the end is seen before the film starts again.
-    Raises ValueError if there is no frame or if the sizes differ.
+    Raises InputError if there is no frame or if the sizes differ.
     """
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
-        raise ValueError("a film needs at least one frame.")
+        raise InputError("a film needs at least one frame.")
     if any(image.size != images[0].size for image in images):
-        raise ValueError("the frames of a film must be of one size.")
+        sizes = " and ".join(f"{width} x {height}" for width, height in sorted({image.size for image in images}))
+        raise InputError(f"the frames of a film must be of one size, and these have {sizes} pixels.")
     palette = common_palette(images)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     hundredths = max(round(100 / frames_per_second), 2)  # the unit of a GIF; viewers show nothing faster than 2

@@ -291,7 +291,7 @@ def parse_mpe(name: str) -> Task | None:
     settings = {"scenario": match[2] or match[3], "paper": match[1] == "mpe", "selfplay": selfplay}
     if lacks_opponent(name):
         raise InputError(
-            f"{name} has no opponent yet: `python benchmark/train_opponents.py` trains it, for hours. "
+            f"{name} has no opponent yet: `python tools/train_opponents.py` trains it, for hours. "
             f"In {name}-selfplay all agents learn."
         )
     if selfplay:  # 25,000 episodes, in which the opponents were trained

@@ -12,8 +12,10 @@
     info["state"]          float32 [num_envs, state_size]            a view of the observations if it consists of them
     info["action_mask"]    bool    [num_envs, n_agents, n_actions]   always at least one action
     info["statistics"]     dict of float32 [num_envs]                what a family reports about an episode besides its
-                                                                     return; valid where an episode has just ended
+                                                                     return; valid where an episode has just ended. NaN:
+                                                                     this episode has none
     env.teams              for each agent the number of its team; all 0 in cooperative tasks
+    env.agent_names        for each agent its name, <kind>_<number>: agents of one kind have equal actions and one team
     env.choices            for each agent the number of its own actions; where they are fewer than n_actions, the mask
                            forbids the rest
 
@@ -39,6 +41,8 @@ from __future__ import annotations
 
 import importlib
 import operator
+import secrets
+from collections import Counter
 from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
@@ -62,11 +66,21 @@ NUMBERS = {  # arrays of numbers, and what one of them is
 }
 
 
+# Columns of evaluations.csv and of benchmark/results, whose names no statistic can have
+RESULT_COLUMNS = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"}
+RESULT_COLUMNS |= {"task", "family", "algorithm", "sharing", "setting", "seed", "total_timesteps", "paper_timesteps"}
+
+
 class InputError(ValueError):
     """The user asked for something that cannot be done, such as an unknown task. The message is one sentence.
 
     It names an option as `max_episode_steps`; a script shows that as the flag --max-episode-steps.
     """
+
+
+def fresh_seed() -> int:
+    """A seed that nobody has chosen, from the system's randomness."""
+    return secrets.randbits(63)
 
 
 def episode_generator(seed: int, index: int, episode: int) -> np.random.Generator:
@@ -78,6 +92,23 @@ def episode_generator(seed: int, index: int, episode: int) -> np.random.Generato
 def episode_seed(seed: int, index: int, episode: int) -> int:
     """What an episode of sub-environment `index` is seeded with where its generator is not ours: 0 .. 2^31 - 1."""
     return int(np.random.SeedSequence([seed, index, episode]).generate_state(1)[0] >> 1)
+
+
+def kinds_of(teams: Sequence[int], choices: Sequence[int]) -> list[str]:
+    """A word for each agent: its team, where there are several, and its number of actions, where these differ."""
+    kinds = [f"team{team}" if len(set(teams)) > 1 else "agent" for team in teams]
+    several = {kind for kind in kinds if len({n for k, n in zip(kinds, choices) if k == kind}) > 1}
+    return [f"{kind}_with_{n}_actions" if kind in several else kind for kind, n in zip(kinds, choices)]
+
+
+def numbered(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Names that tell equal kinds apart: speaker_0, listener_0, listener_1."""
+    seen: Counter[str] = Counter()
+    names = []
+    for kind in kinds:
+        names.append(f"{kind}_{seen[kind]}")
+        seen[kind] += 1
+    return tuple(names)
 
 
 def forbidden_action(actions: NDArray[np.int64], action_mask: NDArray[np.bool_]) -> int:
@@ -135,11 +166,13 @@ class VectorEnv(GymnasiumVectorEnv):
         statistics: Sequence[str] = (),
         teams: Sequence[int] | None = None,
         choices: Sequence[int] | None = None,
+        kinds: Sequence[str] | None = None,
     ) -> None:
         """low, high: the bounds of an observation's values. state_size: None if the state consists of the observations.
 
         statistics: the names of the entries of `self.statistics`. teams: None if all agents belong to one team.
-        choices: None if each agent has n_actions actions.
+        choices: None if each agent has n_actions actions. kinds: for each agent the word that its name begins with;
+        None for `agent`, and more where there are several teams or agents with other numbers of actions.
         """
         check_number(num_envs)
         if choices is not None and (len(choices) != n_agents or not 1 <= min(choices) <= max(choices) <= n_actions):
@@ -164,6 +197,7 @@ class VectorEnv(GymnasiumVectorEnv):
         self.action_mask[:] = np.arange(n_actions) < np.array(self.choices)[:, None]
         self.statistics = {name: np.zeros(num_envs, np.float32) for name in statistics}
         self.teams = tuple(teams) if teams is not None else (0,) * n_agents
+        self.agent_names = numbered(kinds or kinds_of(self.teams, self.choices))
         self.state_is_observations = state_size is None
         if state_size is not None:
             self.state = np.zeros((num_envs, state_size), np.float32)
@@ -421,9 +455,17 @@ class EpisodeTotals:
         self.returns += rewards
         self.agent_returns += info["agent_rewards"]
         ends_now = (terminated | truncated) & ~self.ended
-        for name, values in info["statistics"].items():
-            self.statistics[name][ends_now] = values[ends_now]
+        for name, values in info["statistics"].items():  # those of foreign games are known only when one ends
+            self.statistics.setdefault(name, np.full(len(self.ended), np.nan))[ends_now] = values[ends_now]
         self.ended |= ends_now
+
+    def episodes(self) -> list[dict[str, float]]:
+        """What `means` averages, for each episode: return, length, mean returns of other teams, statistics."""
+        columns = {"episode": np.arange(len(self.ended)), "return": self.returns, "episode_length": self.lengths}
+        for team in sorted(set(self.teams.tolist()) - {0}):
+            columns[f"team_{team}_return"] = self.agent_returns[:, self.teams == team].mean(axis=1)
+        columns |= self.statistics
+        return [dict(zip(columns, values)) for values in zip(*(column.tolist() for column in columns.values()))]
 
     def means(self) -> dict[str, float]:
         """Means over the episodes: return_mean, return_std and episode_length, what the family reports, and the mean

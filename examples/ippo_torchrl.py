@@ -1,8 +1,9 @@
 """TorchRL's PPO on one of our tasks: how a library that trains on PettingZoo environments uses `envs.pettingzoo_env`.
 
-TorchRL's `PettingZooWrapper` takes the environment as it is. It puts agent_0, agent_1, ... into one group "agent",
-finds the action masks, and keeps time-outs apart from terminals. All agents share an actor and a critic, see their own
-observations and learn from their own rewards (IPPO).
+TorchRL's `PettingZooWrapper` takes the environment as it is. It puts agent_0, agent_1 and so on into one group, finds
+the action masks, and keeps time-outs apart from terminals. (Tasks with unequal agents or opposing teams have several
+groups, by the agents' names.) All agents share an actor and a critic, see their own observations and learn from their
+own rewards (IPPO).
 
     pip install torchrl
     python examples/ippo_torchrl.py --task lbf-8x8-2p-2f-c --total-timesteps 300000

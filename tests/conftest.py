@@ -11,6 +11,12 @@ if hasattr(signal, "SIGHUP"):  # `nohup` has it ignored, and programs keep it so
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_collection_modifyitems(config, items):
+    """Leaves out the tests with the marker nightly, unless -m names it."""
+    if "nightly" not in config.option.markexpr:
+        items[:] = [item for item in items if item.get_closest_marker("nightly") is None]
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory, worker_id):
     """made_once(name, make) gives a folder that `make`, called with its path, has filled: once for all processes of

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import t, ttest_ind
 
-import report
-from reporting import agreement, results, tables
+from benchmark import agreement, measures, report, store, tables
 
 
 @pytest.mark.parametrize("seeds", [1, 2, 3, 5])
@@ -39,7 +38,7 @@ def cells(*rows):
     """Compared cells: (task, algorithm, metric, mean, interval, seeds, the paper's mean and interval)."""
     names = ["task", "algorithm", "metric", "mean", "interval", "seeds", "paper_mean", "paper_interval"]
     made = pd.DataFrame(rows, columns=names).assign(
-        sharing=True, paper_task=lambda each: each["task"].map(results.paper_task)
+        sharing="shared", paper_task=lambda each: each["task"].map(store.paper_task)
     )
     width = agreement.half_width(made["interval"], made["seeds"], made["paper_interval"])
     return made.assign(difference=(made["mean"] - made["paper_mean"]) / width)
@@ -91,7 +90,7 @@ def test_the_bias_of_a_maximum_of_one_seed():
 
 def write_runs(folder, task, algorithm, changed, returns):
     """A table of one seed, as collect.py leaves it."""
-    path = results.table_path(folder, algorithm, task, True, changed)
+    path = store.table_path(folder, algorithm, task, "shared", changed)
     path.parent.mkdir(parents=True, exist_ok=True)
     names = "seed,point,timestep,wall_seconds,cpu_seconds,return_mean,return_std,episode_length"
     lines = [f"0,{point},{point * 1000},1,3600,{value},0.5,25.0" for point, value in enumerate(returns)]
@@ -102,18 +101,18 @@ def write_runs(folder, task, algorithm, changed, returns):
     path.with_name(f"{path.name}.json").write_text(json.dumps(settings))
 
 
-PAPERS = results.paper_setting("mpe-tag")
+PAPERS = measures.paper_setting("mpe-tag")
 ANOTHER = {"env_kwargs": "opponent='0123456789abcdef'"}
 
 
 def test_the_papers_rows_are_of_runs_against_its_own_opponents(tmp_path):
-    assert list(PAPERS) == ["env_kwargs"] and len(results.PAPER_OPPONENTS["mpe-tag"]) == 16
+    assert list(PAPERS) == ["env_kwargs"] and len(store.PAPER_OPPONENTS["mpe-tag"]) == 16
     for changed, returns in (({}, [0.0, 30.0]), (PAPERS, [0.0, 17.0]), (ANOTHER, [0.0, 99.0])):
         write_runs(tmp_path, "mpe-tag", "ia2c", changed, returns)
     made = report.Report(tmp_path)
     [compared] = made.compared[made.compared["metric"] == "max_return"].itertuples()
     assert compared._asdict()["mean"] == 17 and compared.paper_mean == 17.44
-    own = results.our_cells(made.evaluations, own_opponent=True)
+    own = measures.our_cells(made.evaluations, own_opponent=True)
     assert list(own.loc[own["metric"] == "max_return", "mean"]) == [30]
     text = made.long()
     above, _, below = text.partition("## Against our own opponents")
@@ -139,12 +138,12 @@ def test_without_such_runs_the_papers_rows_are_compared_with_nothing(tmp_path):
 def test_a_shorter_run_against_the_papers_opponent_is_of_another_budget(tmp_path):
     shorter = PAPERS | {"total_timesteps": 1000}
     write_runs(tmp_path, "mpe-tag", "ia2c", shorter, [0.0, 17.0])
-    both = tables.compare(results.our_cells(results.load(tmp_path)), results.paper_cells())
+    both = tables.compare(measures.our_cells(store.load(tmp_path)), store.paper_cells())
     assert both["other_budget"].all() and both["difference"].isna().all() and (both["paper_task"] == "mpe-tag").all()
 
 
 def test_the_report_says_what_agrees():
-    made = report.Report(results.RESULTS)
+    made = report.Report(store.RESULTS)
     said, table = made.agreement(), made.agreement_table()
     unexplained = made.counted[(made.counted["family"] != "matrix") & (made.counted["cause"] == "")]
     averages = unexplained[unexplained["metric"] == "average_return"]

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -130,7 +131,7 @@ def test_config_says_what_was_run(finished):
     name, directory = finished
     config = json.loads((directory / "config.json").read_text())
     assert config["algorithm"] == name and config["flags"]["env"] == "lbf-5x5-2p-1f"
-    assert config["versions"]["torch"] == torch.__version__ and config["version"] == "0.1.0"
+    assert config["versions"]["torch"] == torch.__version__ and config["version"] == version("marl-baselines")
     assert config["paper_timesteps"] == (20_000_000 if name in ON_POLICY else 2_000_000)
     changed = {"total_timesteps": STEPS[name], "hidden_dim": 32, "eval_points": 11}
     assert changed.items() <= config["changed"].items()
@@ -844,7 +845,10 @@ def test_watching_prints_and_films(finished, monkeypatch, capsys, tmp_path):
     script_main(name)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("return_mean ") and "episode_length" in said[0]
-    assert said[1] == f"film: {copy / 'film.gif'}"
+    assert said[1:] == [f"film: {copy / 'film.gif'}", f"episodes: {copy / 'episodes.csv'}"]
+    with open(copy / "episodes.csv") as file:
+        returns = [float(row["return"]) for row in csv.DictReader(file)]
+    assert len(returns) == 3 and said[0].startswith(f"return_mean {np.mean(returns):.3f}")
     with Image.open(copy / "film.gif") as film:
         assert getattr(film, "n_frames", 1) > 3
 

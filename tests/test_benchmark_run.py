@@ -6,17 +6,14 @@ only counts. Its flag --pace is how long a step takes.
 
 import contextlib
 import csv
-import fcntl
 import importlib
 import json
 import os
 import pty
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
 import textwrap
 import threading
 import time
@@ -30,14 +27,12 @@ import psutil
 import pytest
 
 import envs
-import run
-import time_training
-from campaign import campaign as campaigns
-from campaign import plan, scripts, view
+from benchmark import campaign as campaigns
+from benchmark import plan, run, store, tables
 from envs.runs import is_whole
-from reporting import results, search
 
-BENCHMARK = Path(__file__).resolve().parent.parent / "benchmark"
+ROOT = Path(__file__).resolve().parent.parent
+BENCHMARK = ROOT / "benchmark"
 
 STAND_IN = """
 import argparse, errno, json, os, signal, sys, time, zipfile
@@ -58,7 +53,6 @@ class Args:
     learning_rate: float = 0.5
     pace: float = 0.002  # seconds for a step
     trouble: str = ""  # what goes wrong
-    env_kwargs: str = ""
     parameter_sharing: bool = True
     device: str = "cpu"
     run_dir: str = ""
@@ -177,10 +171,9 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, sys.argv.pop(1))
-from campaign import scripts
+from benchmark import plan, run
 
-scripts.ALGOS = Path(sys.argv.pop(1))
-import run
+plan.ALGOS = Path(sys.argv.pop(1))
 
 if __name__ == "__main__":
     run.main()
@@ -194,15 +187,16 @@ def algos(tmp_path, monkeypatch):
     folder.mkdir()
     for name in ("ia2c", "mappo", "iql"):
         (folder / f"{name}.py").write_text(STAND_IN)
-    for path in (BENCHMARK.parent / "algos").glob("*.py"):
+    for path in (ROOT / "algos").glob("*.py"):
         monkeypatch.setitem(sys.modules, path.stem, None)  # so that afterwards all is as it was
         monkeypatch.delitem(sys.modules, path.stem)
     (tmp_path / "driver.py").write_text(DRIVER)
-    monkeypatch.setattr(scripts, "ALGOS", folder)
-    monkeypatch.setattr(plan, "SCRIPTS", {})
+    monkeypatch.setattr(plan, "ALGOS", folder)
+    plan.script.cache_clear()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(results, "RESULTS", tmp_path / "results")
-    return folder
+    monkeypatch.setattr(store, "RESULTS", tmp_path / "results")
+    yield folder
+    plan.script.cache_clear()
 
 
 def campaign(monkeypatch, *words):
@@ -225,7 +219,7 @@ def campaign(monkeypatch, *words):
 
 def driver(tmp_path, *words):
     """The command that does the same in another process."""
-    command = [sys.executable, "driver.py", str(BENCHMARK), str(tmp_path / "algos"), "--results", "results"]
+    command = [sys.executable, "driver.py", str(ROOT), str(tmp_path / "algos"), "--results", "results"]
     return [*command, "--algorithms", "ia2c", "--tasks", "matrix-climbing", *map(str, words)]
 
 
@@ -242,7 +236,7 @@ def folder_of(seed, name="ia2c-shared"):
     return Path("runs/matrix-climbing") / name / f"seed{seed}"
 
 
-def make_plan(algorithms, tasks, sharings=(True,), seeds=1, flags=(), grid=None):
+def make_plan(algorithms, tasks, sharings=("shared",), seeds=1, flags=(), grid=None):
     """The plan for words of the command line."""
     chosen = plan.chosen_algorithms(algorithms.split()), plan.chosen_tasks(tasks.split())
     return plan.make_plan(*chosen, list(sharings), seeds, tuple(flags), grid, Path("runs"))
@@ -250,7 +244,7 @@ def make_plan(algorithms, tasks, sharings=(True,), seeds=1, flags=(), grid=None)
 
 class TestPlan:
     def test_families_tasks_and_all(self):
-        runs = make_plan("mappo ia2c", "matrix lbf-5x5-2p-1f matrix-climbing", (True, False), seeds=2)
+        runs = make_plan("mappo ia2c", "matrix lbf-5x5-2p-1f matrix-climbing", store.SHARING.values(), seeds=2)
         assert len(runs) == 2 * (6 + 1) * 2 * 2
         assert [run.seed for run in runs] == [0] * 28 + [1] * 28
         assert len({run.directory for run in runs}) == len(runs)
@@ -266,13 +260,13 @@ class TestPlan:
 
     @pytest.mark.parametrize("flags", [[], ["--total-timesteps", "1000"], ["--hidden-dim", "8", "--gamma", "0.5"]])
     def test_a_run_by_hand_has_the_same_directory(self, monkeypatch, flags):
-        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
+        monkeypatch.setattr(plan, "ALGOS", ROOT / "algos")
         (planned,) = make_plan("ia2c", "matrix-climbing", flags=flags)
         module: Any = plan.script("ia2c")
         words = ["--env", "matrix-climbing", *flags]
         args = module.runs.parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
         default = module.paper_defaults("matrix-climbing")
-        assert module.runs.RunDirectory(scripts.ALGOS / "ia2c.py", args, default).path == planned.directory
+        assert module.runs.RunDirectory(plan.ALGOS / "ia2c.py", args, default).path == planned.directory
 
     @pytest.mark.parametrize(
         "words, said",
@@ -296,12 +290,12 @@ class TestPlan:
 
     def test_the_scripts_take_the_plan(self, monkeypatch):
         """The real scripts, every one on a task of every family, with the whole of the paper's grid."""
-        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
+        monkeypatch.setattr(plan, "ALGOS", ROOT / "algos")
         grid = plan.read_grid(BENCHMARK / "grids" / "paper.csv")
-        paper = make_plan("all", "matrix", (True, False), seeds=2)
+        paper = make_plan("all", "matrix", store.SHARING.values(), seeds=2)
         assert all(run.changed == {} for run in paper) and len(paper) == 9 * 6 * 2 * 2
-        searched = make_plan("ia2c qmix", "matrix-climbing", (True,), 3, grid=grid)
-        searched += make_plan("maddpg", "matrix-climbing lbf-15x15-3p-5f", (True,), 3, grid=grid)
+        searched = make_plan("ia2c qmix", "matrix-climbing", ("shared",), 3, grid=grid)
+        searched += make_plan("maddpg", "matrix-climbing lbf-15x15-3p-5f", ("shared",), 3, grid=grid)
         sizes: dict[tuple[str, str], int] = {}
         for one in searched:
             sizes[one.algorithm, one.task] = sizes.get((one.algorithm, one.task), 0) + 1
@@ -393,7 +387,6 @@ class TestRunning:
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere", "--", "--total-timesteps", steps) == 0
         before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
         capsys.readouterr()
-        monkeypatch.setattr(run, "measure", measured)
         said = f"{folder_of(0).resolve()} holds a run with another total_timesteps: move it away"
         assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
         assert f"seed 0: would fail, {said}" in capsys.readouterr().out
@@ -443,7 +436,7 @@ class TestRunning:
         """Others would only add to the runs that are half done."""
         runs = make_plan("ia2c", "matrix-climbing", seeds=3)
         unused: Any = None
-        work = campaigns.Campaign(runs, Path(), Path("results"), unused, unused, view.LineView())
+        work = campaigns.Campaign(runs, Path(), Path("results"), unused, unused)
         work.waiting.popleft()
         for _ in range(campaigns.MOST_LOSSES):
             work.try_again(runs[0], "its node was lost")
@@ -476,6 +469,28 @@ class TestRunning:
             job.process.wait()
 
     @pytest.mark.slow
+    def test_kill_9(self, tmp_path):
+        """Of the program and of all its runs, twice: the same command ends with the tables of a campaign in peace."""
+        words = ["--sharing", "both", "--seeds", 2, "--jobs", 2]
+        flags = ["--", "--pace", "0.01"]
+        table = Path("results/matrix-climbing/ia2c-shared-pace=0.01.csv")
+        for begun in (folder_of(0, "ia2c-shared-pace=0.01") / "checkpoint.pt", table):
+            process = psutil.Popen(driver(tmp_path, *words, *flags))
+            wait_for(begun.exists)
+            for killed in (process, *process.children()):
+                killed.kill()
+            assert process.wait() == -signal.SIGKILL
+        assert sum(len(seeds_of(path.stem)) for path in Path("results").rglob("*.csv")) < 4  # something is left to do
+        assert subprocess.run(driver(tmp_path, *words, *flags)).returncode == 0
+        peace = driver(tmp_path, *words, "--runs", "others", *flags)
+        peace[peace.index("results")] = "peace"
+        assert subprocess.run(peace).returncode == 0
+        found = [
+            {path.name: path.read_bytes() for path in Path(there).rglob("ia2c*")} for there in ("results", "peace")
+        ]
+        assert len(found[0]) == 4 and found[0] == found[1]
+
+    @pytest.mark.slow
     def test_ctrl_c_stops_it_in_the_background_of_a_shell_script(self, tmp_path):
         """Where SIGINT is ignored from the start."""
         process = subprocess.Popen(
@@ -491,18 +506,17 @@ class TestRunning:
         assert process.returncode == 130 and "Stopped; the same command goes on." in said and is_whole(checkpoint)
 
     def test_where_results_go_is_said(self, monkeypatch, capsys):
-        monkeypatch.setattr(run, "RESULTS", Path("committed"))
+        monkeypatch.setattr(store, "RESULTS", Path("committed"))
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert "count as done" not in capsys.readouterr().err
         monkeypatch.setattr(sys, "argv", "run.py --algorithms ia2c --tasks matrix-climbing --seeds 1 --dry-run".split())
-        monkeypatch.setattr(run, "measure", measured)
         with pytest.raises(SystemExit, match="0"):
             run.main()
         assert "Runs that committed has count as done, and new ones are added to it" in capsys.readouterr().err
 
     @pytest.mark.slow
     def test_a_real_script(self, monkeypatch):
-        monkeypatch.setattr(scripts, "ALGOS", BENCHMARK.parent / "algos")
+        monkeypatch.setattr(plan, "ALGOS", ROOT / "algos")
         flags = ["--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
         assert campaign(monkeypatch, "--seeds", 1, "--", *flags) == 0
         (table,) = Path("results/matrix-climbing").glob("ia2c-shared-*.csv")
@@ -596,7 +610,6 @@ class TestDamage:
         file = folder_of(0) / name
         file.write_text(file.read_text()[:-5])
         before = {path: path.read_bytes() for path in folder_of(0).iterdir()}
-        monkeypatch.setattr(run, "measure", measured)
         assert campaign(monkeypatch, "--seeds", 2, "--dry-run") == 1
         assert campaign(monkeypatch, "--seeds", 2) == 1
         assert f"{name} is damaged" in capsys.readouterr().out and seeds_of("ia2c-shared") == {1: 20.0}
@@ -657,27 +670,34 @@ class TestTwoCampaigns:
 
 class TestView:
     def test_progress_from_what_a_run_writes(self, tmp_path):
+        planned = plan_of(tmp_path)
         for text in (None, "{}"):
             if text:
                 (tmp_path / "progress.json").write_text(text)
-            assert view.read_progress(tmp_path) == view.Progress()
+            assert campaigns.share_done(tmp_path) == 0 and campaigns.table_row(planned).split()[3:] == ["0", "0%"]
         said = {"timestep": 100, "total_timesteps": 200, "steps_per_second": 4.0, "training_return": 3.0}
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": None}))
-        assert view.read_progress(tmp_path) == view.Progress(0.5, 4.0, 3.0, 25.0)
+        assert campaigns.share_done(tmp_path) == 0.5
+        assert campaigns.table_row(planned).split()[4:] == ["50%", "4", "3.00", "0:00:25"]
         (tmp_path / "progress.json").write_text(json.dumps(said | {"evaluation_return": 7.0}))
-        assert view.read_progress(tmp_path).last_return == 7.0
+        assert campaigns.table_row(planned).split()[6] == "7.00"
 
-    def test_plain_lines_where_there_is_no_terminal(self, monkeypatch, capsys):
-        monkeypatch.setattr(view, "LINES_EVERY", 0.2)
+    def test_the_first_lines_come_at_once(self, monkeypatch, capsys):
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        said = capsys.readouterr().err
+        assert said.count(campaigns.HEADER) == 1 and "0 of 1 runs in the results, 1 running" in said
+
+    def test_lines_now_and_then(self, monkeypatch, capsys):
+        monkeypatch.setattr(campaigns, "LINES_EVERY", 0.2)
         assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", "0.02") == 0
         said = capsys.readouterr().err
         assert "\x1b" not in said and "\r" not in said
-        assert "0 of 1 runs in the results, 1 running" in said and view.HEADER in said
+        assert "0 of 1 runs in the results, 1 running" in said and campaigns.HEADER in said
         assert "1,000      1.50" in said  # steps per second, last return
 
     @pytest.mark.slow
     def test_what_the_results_hold_counts_from_the_start(self, monkeypatch, capsys):
-        monkeypatch.setattr(view, "LINES_EVERY", 0.2)
+        monkeypatch.setattr(campaigns, "LINES_EVERY", 0.2)
         words = "--seeds", 1, "--jobs", 1, "--", "--pace", "0.02"
         assert campaign(monkeypatch, "--algorithms", "mappo", *words) == 0
         capsys.readouterr()
@@ -687,24 +707,22 @@ class TestView:
 
     @pytest.mark.slow
     def test_ctrl_c_in_a_terminal(self, tmp_path):
-        """A table that is redrawn; Ctrl-C reaches the runs once, and they keep their checkpoints."""
+        """Ctrl-C reaches the runs once, however often it is pressed, and they keep their checkpoints."""
         pid, terminal = pty.fork()
         if pid == 0:
             signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background may ignore Ctrl-C
             os.execv(sys.executable, driver(tmp_path, "--seeds", 2, "--jobs", 2, "--", "--pace", "0.1"))
-        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-        said, pressed, deadline = b"", 0, time.monotonic() + 60
         names = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
+        wait_for(lambda: all((name / "checkpoint.pt").exists() for name in names))
+        os.write(terminal, b"\x03")
+        time.sleep(0.15)
+        os.write(terminal, b"\x03")
+        said = b""
         with contextlib.suppress(OSError):  # the terminal is closed with the program
-            while time.monotonic() < deadline:
-                said += os.read(terminal, 10_000)
-                if not pressed and said.count(b"1.50") > 3 and all((name / "checkpoint.pt").exists() for name in names):
-                    pressed = os.write(terminal, b"\x03")
-                    time.sleep(0.15)
-                    os.write(terminal, b"\x03")
+            while piece := os.read(terminal, 10_000):
+                said += piece
         assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 128 + signal.SIGINT
-        text = said.decode()
-        assert view.HEADER.split()[0] in text and "\x1b[A" in text and "the same command goes on" in text
+        assert "the same command goes on" in said.decode()
         for name in names:
             assert is_whole(name / "checkpoint.pt")
             assert not plan_of(name).log.exists()
@@ -712,56 +730,66 @@ class TestView:
 
 def plan_of(directory):
     """Some run that is kept in this directory."""
-    return plan.PlannedRun("ia2c", "matrix-climbing", True, 0, (), {}, 40, directory)
+    return plan.PlannedRun("ia2c", "matrix-climbing", "shared", 0, {}, directory, plan.ALGOS / "ia2c.py", (), 40)
 
 
 class TestDryRun:
-    def test_the_list_and_the_core_hours(self, monkeypatch, capsys):
+    def results_of(self, monkeypatch, seconds):
+        """Results of one seed, 40 timesteps, that took so many seconds of a processor."""
         assert campaign(monkeypatch, "--seeds", 1) == 0
-        monkeypatch.setattr(run, "measure", measured)
+        config = Path("results/matrix-climbing/ia2c-shared.json")
+        settings = json.loads(config.read_text())
+        settings["seeds"]["0"]["cpu_seconds"] = seconds
+        config.write_text(json.dumps(settings))
+
+    def test_the_list_and_the_core_hours(self, monkeypatch, capsys):
+        self.results_of(monkeypatch, 0.004)
         steps = 36_000_000
         assert campaign(monkeypatch, "--seeds", 2, "--jobs", 2, "--dry-run") == 0
         said = capsys.readouterr().out
         assert "seed 0: in the results" in said and "seed 1: new" in said
-        assert campaign(monkeypatch, "--runs", "long", "--jobs", 2, "--dry-run", "--", "--total-timesteps", steps) == 0
-        said = capsys.readouterr().out  # 5 seeds of 36 million steps at 10,000 a second: one hour each
-        assert "matrix-climbing ia2c shared: 10,000 steps/s, 5.00 core hours" in said
-        assert "In all 5.0 core hours, with --jobs 2 about 2:30:00" in said
-        assert (
-            campaign(
-                monkeypatch, "--runs", "long", "--seeds", 1, "--jobs", 9, "--dry-run", "--", "--total-timesteps", steps
-            )
-            == 0
-        )
+        long = ["--runs", "long", "--dry-run"]
+        assert campaign(monkeypatch, *long, "--jobs", 2, "--", "--total-timesteps", steps) == 0
+        said = capsys.readouterr().out  # 5 seeds of 36 million steps of 0.1 ms: one hour each
+        assert "matrix-climbing ia2c shared: 5 runs, 5.00 core hours" in said
+        assert "In all 5.0 core hours, with --jobs 2 about 2:30:00 (h:min:s).\n" in said
+        assert campaign(monkeypatch, *long, "--seeds", 1, "--jobs", 9, "--", "--total-timesteps", steps) == 0
         assert "with --jobs 9 about 1:00:00" in capsys.readouterr().out  # one run, however many there could be
         assert not Path("long").exists()
 
+    def test_what_no_result_knows_is_said(self, monkeypatch, capsys):
+        """Other flags may take longer; hours are also those of the committed results, wherever new ones go."""
+        self.results_of(monkeypatch, 3600)
+        assert campaign(monkeypatch, "--seeds", 1, "--dry-run", "--", "--learning-rate", 2.0) == 0
+        said = capsys.readouterr().out
+        assert "not known, the results have no such run" in said and "In all" not in said
+        both = ["--algorithms", "ia2c", "mappo", "--seeds", 1]
+        assert campaign(monkeypatch, *both, "--results", "own", "--runs", "own", "--dry-run") == 0
+        said = capsys.readouterr().out
+        assert "ia2c shared: 1 run, 1.00 core hours" in said and "mappo shared: 1 run, not known" in said
+        assert "In all 1.0 core hours" in said and "Not counted: 1 of 2 settings." in said
+
     def test_what_is_done_of_a_run_needs_no_hours(self, monkeypatch, capsys):
+        self.results_of(monkeypatch, 0.004)
         steps = 36_000_000
-        flags = ["--dry-run", "--seeds", 1, "--", "--total-timesteps", steps]
-        begun = folder_of(0)
+        begun = folder_of(1)
         begun.mkdir(parents=True)
         zipfile.ZipFile(begun / "checkpoint.pt", "w").close()
         changed = {"total_timesteps": steps}
-        flags_of_run = {"env": "matrix-climbing", "parameter_sharing": True, "seed": 0} | changed
+        flags_of_run = {"env": "matrix-climbing", "parameter_sharing": True, "seed": 1} | changed
         config = {"algorithm": "ia2c", "changed": changed, "flags": flags_of_run, "paper_timesteps": 40}
         progress = {"timestep": steps // 4, "total_timesteps": steps, "steps_per_second": 1.0, "training_return": 1.0}
         (begun / "config.json").write_text(json.dumps(config))
         (begun / "progress.json").write_text(json.dumps(progress | {"evaluation_return": None}))
-        monkeypatch.setattr(run, "measure", measured)
-        assert campaign(monkeypatch, *flags) == 0
+        (folder_of(0) / "config.json").unlink()
+        assert campaign(monkeypatch, "--dry-run", "--seeds", 2, "--", "--total-timesteps", steps) == 0
         said = capsys.readouterr().out
-        assert "seed 0: begun" in said and "10,000 steps/s, 0.75 core hours" in said
+        assert "seed 1: begun" in said and "2 runs, 1.75 core hours" in said
 
     def test_nothing_is_left(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert campaign(monkeypatch, "--seeds", 1, "--dry-run") == 0
         assert "Nothing is left to run" in capsys.readouterr().out
-
-
-def measured(name, flags, seconds, timer):
-    assert flags[:3] == ["--env", "matrix-climbing", "--parameter-sharing"]
-    return time_training.Measurement("", 10_000.0, 1.0, 1.0, 0.0, 0.0)
 
 
 class TestRay:
@@ -793,7 +821,7 @@ class TestRay:
         """A signal stops a run, which comes back, is sent there again, and comes back once more, each time with its
         replay, however large that is. Then there are two runs on two nodes, one of which is killed: its run goes on
         elsewhere, from the checkpoint that came."""
-        from campaign import cluster
+        from benchmark import cluster
 
         machines, second = nodes
         monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.1)
@@ -835,7 +863,7 @@ class TestRay:
         assert said.count("its node was lost; it goes on") == 1
         assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]
         config = json.loads((directories[0] / "config.json").read_text())
-        assert config["commit"] == cluster.commit_here()
+        assert config["commit"] == envs.runs.provenance()["commit"]
         assert not (directories[0] / "progress.json").exists() and not campaigns.in_use(directories[0])
 
     @pytest.mark.slow
@@ -857,7 +885,7 @@ class TestRay:
 
     def test_what_a_killed_trainer_leaves_is_removed_by_the_next(self, monkeypatch, tmp_path):
         """Its folder, and the training that it has started."""
-        from campaign import cluster
+        from benchmark import cluster
 
         monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
         monkeypatch.setattr(tempfile, "tempdir", None)
@@ -866,13 +894,13 @@ class TestRay:
             import sys, time
             sys.path.insert(0, sys.argv[1])
             from pathlib import Path
-            from campaign import cluster, scripts
-            scripts.ALGOS = Path("algos")
+            from benchmark import cluster, plan
+            plan.ALGOS = Path("algos")
             trainer = cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {})
             print(trainer.folder, trainer.process.pid, flush=True)
             time.sleep(60)
         """
-        command = [sys.executable, "-c", textwrap.dedent(program), str(BENCHMARK)]
+        command = [sys.executable, "-c", textwrap.dedent(program), str(ROOT)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as killed:
             assert killed.stdout is not None
             folder, pid = killed.stdout.readline().split()
@@ -889,7 +917,7 @@ class TestRay:
     @pytest.fixture
     def no_cluster(self, monkeypatch, ray):
         """Pieces of files that travel nowhere, three bytes each."""
-        from campaign import cluster
+        from benchmark import cluster
 
         here = SimpleNamespace(put=bytes, get=bytes, exceptions=ray.exceptions)
         monkeypatch.setattr(cluster, "ray", here)
@@ -897,7 +925,7 @@ class TestRay:
         return here
 
     def test_files_take_the_place_of_others(self, tmp_path, no_cluster, ray):
-        from campaign import cluster
+        from benchmark import cluster
 
         directory = tmp_path / "run"
         (directory / "wandb").mkdir(parents=True)
@@ -923,7 +951,7 @@ class TestRay:
         assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], "config.json": [b"old"]}
 
     def test_a_checkpoint_without_its_replay_stays(self, tmp_path, no_cluster):
-        from campaign import cluster
+        from benchmark import cluster
 
         directory = tmp_path / "run"
         directory.mkdir()
@@ -934,7 +962,7 @@ class TestRay:
 
     def test_checkpoints_arrive_last(self, monkeypatch, tmp_path, no_cluster):
         """Cut short after any file, the directory has no checkpoint, or whole ones and all that they refer to."""
-        from campaign import cluster
+        from benchmark import cluster
 
         order = []
         replace = Path.replace
@@ -953,7 +981,7 @@ class TestRay:
         assert order[2:] == [("checkpoint.previous.pt", []), ("checkpoint.pt", ["checkpoint.previous.pt"])]
 
     def test_a_checkpoint_that_changes_meanwhile_does_not_travel(self, tmp_path, no_cluster):
-        from campaign import cluster
+        from benchmark import cluster
 
         directory = tmp_path / "run"
         directory.mkdir()
@@ -972,7 +1000,7 @@ class TestRay:
     @pytest.mark.slow
     def test_a_run_that_cannot_begin_says_why(self, monkeypatch, capsys, nodes):
         """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
-        from campaign import cluster
+        from benchmark import cluster
 
         monkeypatch.setattr(cluster, "pack", lambda: b"this is no zip file")
         assert campaign(monkeypatch, "--ray", nodes[0].address, "--seeds", 1) == 1
@@ -993,39 +1021,41 @@ class TestSearch:
         Path("grid.csv").write_text("\n".join(["algorithms,families,flag,values", *lines]))
         assert campaign(monkeypatch, "--grid", "grid.csv", "--results", "searches") == 0
         assert "9 of 9 runs are in" in capsys.readouterr().out
-        assert search.search_report(Path("searches")).splitlines() == [
-            "### ia2c with parameter sharing on matrix-climbing",
-            "",
-            "3 variants, 9 runs of 40 timesteps. The winner: learning_rate 1.0. The paper's choice has place 2.",
-            "",
-            "|  | learning_rate | seeds | score | average return |",
-            "| --- | --- | --- | --- | --- |",
-            "| 1 | 1.0 | 3 | 40.00 | 20.00 |",
-            "| 2 (the paper's) | 0.5 | 3 | 20.00 | 10.00 |",
-            "| 3 | 0.25 | 3 | 10.00 | 5.00 |",
-        ]
         monkeypatch.setattr(sys, "argv", ["report.py", "--grid", "searches"])
-        importlib.import_module("report").main()
-        assert "The winner: learning_rate 1.0." in capsys.readouterr().out
+        importlib.import_module("benchmark.report").main()
+        assert capsys.readouterr().out.splitlines() == [
+            "| task | algorithm | sharing | changed flags | seeds | maximum | average | last |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| matrix-climbing | IA2C | shared | learning_rate 1.0 | 3 | 40.00 ± 0.00 | 20.00 ± 0.00 | 40.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | shared |  | 3 | 20.00 ± 0.00 | 10.00 ± 0.00 | 20.00 ± 0.00 |",
+            "| matrix-climbing | IA2C | shared | learning_rate 0.25 | 3 | 10.00 ± 0.00 | 5.00 ± 0.00 | 10.00 ± 0.00 |",
+        ]
 
     def test_the_best_point_of_the_mean_and_then_the_average(self):
         """By hand: A has (0 + 8) / 2 at its second point, B the same at its last, with more on the way. C learns and
-        forgets."""
+        forgets. D had a larger budget, so it stands apart."""
         curves = {"A": [[0, 0, 0], [0, 8, 0]], "B": [[0, 2, 4], [0, 2, 4]], "C": [[-9, 4, -9], [-9, 5, -9]]}
+        curves["D"] = [[0, 0, 1]]
         rows = [
-            {"task": "t", "algorithm": "a", "sharing": True, "setting": name, "seed": seed, "point": point}
-            | {"return_mean": float(value), "total_timesteps": 40}
+            {"task": "lbf-5x5-2p-1f", "algorithm": "a", "sharing": "shared", "setting": json.dumps({"flag": name})}
+            | {"seed": seed, "point": point, "return_mean": float(value)}
+            | {"total_timesteps": 80 if name == "D" else 40}
             for name, seeds in curves.items()
             for seed, values in enumerate(seeds)
             for point, value in enumerate(values)
         ]
-        ranking = search.ranked(pd.DataFrame(rows))
-        assert list(ranking["setting"]) == ["C", "B", "A"] and list(ranking["score"]) == [4.5, 4.0, 4.0]
+        lines = [line.split(" | ") for line in tables.variants(pd.DataFrame(rows)).splitlines()[2:]]
+        assert [(line[3], line[5].split()[0]) for line in lines] == [
+            ("flag D", "1.00"),
+            ("flag C", "4.50"),
+            ("flag B", "4.00"),
+            ("flag A", "4.00"),
+        ]
 
     def test_a_search_has_a_folder_of_its_own(self, monkeypatch):
         """Its runs are no part of the benchmark."""
         Path("small.csv").write_text("algorithms,families,flag,values\nia2c,matrix,learning_rate,0.25 0.5\n")
-        monkeypatch.setattr(run, "RESULTS", Path("benchmark/results").resolve())
+        monkeypatch.setattr(store, "HERE", Path("benchmark").resolve())
         words = ["--algorithms", "ia2c", "--tasks", "matrix-climbing", "--grid", "small.csv", "--seeds", "1"]
         monkeypatch.setattr(sys, "argv", ["run.py", *words])
         monkeypatch.setattr(run, "SIGNALS", [])  # the handlers of this process stay
@@ -1033,54 +1063,3 @@ class TestSearch:
         tables = sorted(path.name for path in Path("benchmark").rglob("*.csv"))
         assert tables == ["ia2c-shared-learning-rate=0.25.csv", "ia2c-shared.csv"]
         assert [path.name for path in Path("benchmark").iterdir()] == ["searches"]
-
-    @pytest.mark.slow
-    def test_one_variant_with_fewer_seeds_makes_a_search_incomplete(self, monkeypatch):
-        for rate, seeds in ((0.25, 3), (1.0, 2)):
-            assert campaign(monkeypatch, "--seeds", seeds, "--", "--learning-rate", rate) == 0
-        assert "The search is not complete" in search.search_report(Path("results"))
-        assert campaign(monkeypatch, "--seeds", 3, "--", "--learning-rate", 1.0) == 0
-        assert "The search is not complete" not in search.search_report(Path("results"))
-
-    def test_the_papers_choice_may_be_looked_at_more_often(self):
-        assert search.is_the_papers('{"eval_points": 5, "total_timesteps": 10}')
-        assert not search.is_the_papers('{"network": "gru"}')
-
-    def test_what_is_missing_is_said(self, monkeypatch):
-        flags = ["--", "--learning-rate", "0.25", "--total-timesteps", "20"]
-        assert campaign(monkeypatch, "--seeds", 2, *flags) == 0
-        said = search.search_report(Path("results"))
-        assert "2 runs of 20 timesteps (the paper: 40). The winner: the only variant." in said
-        assert "The paper's choice is not among them. The search is not complete" in said
-
-    def test_budgets_do_not_compare(self, monkeypatch):
-        for rate, steps in ((0.25, 20), (1.0, 20), (1.0, 60)):
-            flags = ["--runs", f"runs-of-{steps}", "--", "--learning-rate", rate, "--total-timesteps", steps]
-            assert campaign(monkeypatch, "--seeds", 1, *flags) == 0
-        said = search.search_report(Path("results"))
-        assert "2 variants, 2 runs of 20 timesteps (the paper: 40). The winner: learning_rate 1.0." in said
-        assert "1 variant, 1 run of 60 timesteps (the paper: 40). The winner: the only variant." in said
-
-    def test_a_flag_that_only_later_scripts_have(self, monkeypatch):
-        for rate in (0.25, 1.0):
-            assert campaign(monkeypatch, "--seeds", 1, "--", "--learning-rate", rate) == 0
-        older = Path("results/matrix-climbing/ia2c-shared-learning-rate=0.25.json")
-        settings = json.loads(older.read_text())
-        del settings["flags"]["pace"]
-        older.write_text(json.dumps(settings))
-        assert "| 1 | 1.0 | 1 | 40.00 | 20.00 |" in search.search_report(Path("results"))
-
-    def test_a_search_of_such_a_flag(self, monkeypatch):
-        """The older variant does not have it."""
-        for pace in (0.001, 0.002, 0.003):
-            assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", pace) == 0
-        older = Path("results/matrix-climbing/ia2c-shared.json")  # 0.002 is the stand-in's default
-        settings = json.loads(older.read_text())
-        del settings["flags"]["pace"]
-        older.write_text(json.dumps(settings))
-        said = search.search_report(Path("results"))
-        assert "|  | pace | seeds | score |" in said and "(the paper's) | - | 1 | 20.00 |" in said
-
-    def test_nothing_was_searched(self):
-        with pytest.raises(ValueError, match="no results in nowhere"):
-            search.search_report(Path("nowhere"))

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,9 +13,9 @@ import pytest
 import torch
 from scripts import NAMES, ROOT, runs, script
 
-from campaign import teams
+from benchmark import collect
 
-PLACES = sorted(path.parent for path in teams.TEAMS.glob("*/config.json"))
+PLACES = sorted(path.parent for path in collect.TEAMS.glob("*/config.json"))
 
 
 def config_of(place: Path) -> dict:
@@ -34,7 +35,7 @@ def test_a_team_plays_as_its_run_said(place):
 
 
 def test_they_are_small_and_of_no_machine():
-    files = [path for place in PLACES for path in place.iterdir() if path.name != "film.gif"]
+    files = [path for place in PLACES for path in place.iterdir() if path.name not in ("film.gif", "episodes.csv")]
     assert sum(path.stat().st_size for path in files) <= 12 * 2**20
     assert {path.name for path in files} == {"checkpoint.pt", "config.json", "evaluations.csv"}
     for place in PLACES:
@@ -53,8 +54,9 @@ def test_watching_one_and_the_wrong_script(tmp_path, monkeypatch, capsys):
     films = subprocess.run([sys.executable, *words], capture_output=True, text=True)
     assert films.returncode == 0 and "return_mean" in films.stdout and (place / "film.gif").exists()
     monkeypatch.setattr(sys, "argv", words)
+    module: Any = script(other)
     with pytest.raises(SystemExit) as end:
-        script(other).main()
+        runs.main(module.__file__, module.__doc__, module.Args, module.paper_defaults, module.train, module.load)
     assert end.value.code == 2
     assert capsys.readouterr().err == f"{other}: {place} holds a run of {algorithm}.py, not of {other}.py.\n"
 
@@ -83,19 +85,19 @@ class TestKeeping:
     def test_the_best_algorithm_of_a_task(self, run, tmp_path):
         returns = pd.Series({("matrix-climbing", name): 5.0 for name in ("ia2c", "mappo")} | {("other", "iql"): 6.0})
         place = tmp_path / "teams" / "matrix-climbing"
-        assert teams.keep_team(run, returns, tmp_path / "teams") == place
+        assert collect.keep_team(run, returns, tmp_path / "teams") == place
         team = script("ia2c").load(place)
         assert (place / "checkpoint.pt").stat().st_size < (run / "checkpoint.pt").stat().st_size
         assert team.args.env == "matrix-climbing" and config_of(place)["flags"]["run_dir"] == ""
-        assert teams.keep_team(run, returns, tmp_path / "teams") is None  # not better than itself
+        assert collect.keep_team(run, returns, tmp_path / "teams") is None  # not better than itself
         for algorithm, kept in (("mappo", None), ("coma", place)):  # as good, and none in the results
             (place / "config.json").write_text(json.dumps({"algorithm": algorithm}))
-            assert teams.keep_team(run, returns, tmp_path / "teams") == kept
+            assert collect.keep_team(run, returns, tmp_path / "teams") == kept
         returns["matrix-climbing", "qmix"] = 6.0
-        assert teams.keep_team(run, returns, tmp_path / "elsewhere") is None
+        assert collect.keep_team(run, returns, tmp_path / "elsewhere") is None
 
     @pytest.mark.parametrize("change", [{"seed": 1}, {"parameter_sharing": False}, {"env": "lbf-9x9-2p-2f"}])
     def test_other_runs_are_not_kept(self, run, tmp_path, change):
         config = config_of(run)
         (run / "config.json").write_text(json.dumps(config | {"flags": config["flags"] | change}))
-        assert teams.keep_team(run, pd.Series(dtype=float), tmp_path / "teams") is None
+        assert collect.keep_team(run, pd.Series(dtype=float), tmp_path / "teams") is None

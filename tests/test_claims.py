@@ -4,17 +4,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reporting import claims, results
+from benchmark import claims, measures, store
 
 SPREAD = "mpe-spread"
 
 
-def table(values, metric="max_return", seeds=5, interval=0.001, sharing=True):
-    """Cells in the form of `results.paper_cells`; values: by task, of algorithms that are named; of the others 0."""
+def table(values, metric="max_return", seeds=5, interval=0.001, sharing="shared"):
+    """Cells in the form of `store.paper_cells`; values: by task, of algorithms that are named; of the others 0."""
     rows = [
         (metric, sharing, task, algorithm, float(named.get(algorithm, 0)), interval, seeds)
         for task, named in values.items()
-        for algorithm in results.ALGORITHMS
+        for algorithm in store.ALGORITHMS
     ]
     return pd.DataFrame(rows, columns=["metric", "sharing", "task", "algorithm", "mean", "interval", "seeds"])
 
@@ -38,8 +38,8 @@ def verdict_on(beginning, cells):
 
 
 def named_cells(runs, **columns):
-    """Cells in the form of `results.our_cells`; runs: (task, paper's task, algorithm, value, seeds)."""
-    rows = [("max_return", True, *run) for run in runs]
+    """Cells in the form of `measures.our_cells`; runs: (task, paper's task, algorithm, value, seeds)."""
+    rows = [("max_return", "shared", *run) for run in runs]
     names = ["metric", "sharing", "task", "paper_task", "algorithm", "mean", "seeds"]
     cells = pd.DataFrame(rows, columns=names).assign(interval=0.001, other_budget=False, at_start=False)
     return cells.assign(**columns)
@@ -85,16 +85,16 @@ def test_the_limits_of_competitive_and_similar():
     assert says("similar(ippo, coma)", values) and not says("similar(ia2c, iql)", values)
     assert says("competitive(ia2c, coma, iql)", values)  # among these alone
     assert all(
-        says(f"competitive({name})", {each: 99 + (each == "iql") for each in results.ALGORITHMS}) for name in values
+        says(f"competitive({name})", {each: 99 + (each == "iql") for each in store.ALGORITHMS}) for name in values
     )
 
 
 def test_what_is_not_significantly_different_from_the_best_is_competitive():
     """One lucky seed of MADDPG: 90 +- 80, all others 50 +- 0."""
-    cells = table({"matrix-penalty-25": dict.fromkeys(results.ALGORITHMS, 50) | {"maddpg": 90}}, interval=0.0)
+    cells = table({"matrix-penalty-25": dict.fromkeys(store.ALGORITHMS, 50) | {"maddpg": 90}}, interval=0.0)
     cells.loc[cells["algorithm"] == "maddpg", "interval"] = 80.0
     view = claims.View.of(cells)
-    assert all(claims.Scope(view, "matrix-penalty-25", "max_return").competitive(name) for name in results.ALGORITHMS)
+    assert all(claims.Scope(view, "matrix-penalty-25", "max_return").competitive(name) for name in store.ALGORITHMS)
 
 
 def test_two_seeds_do_not_show_that_there_is_no_difference():
@@ -113,7 +113,7 @@ def test_two_seeds_do_not_show_that_there_is_no_difference():
 
 
 def test_the_papers_claims_by_its_own_tables():
-    verdicts = claims.judge(results.paper_cells())
+    verdicts = claims.judge(store.paper_cells())
     assert {each.verdict for each in verdicts} == {claims.HOLDS, claims.FAILS} and len(verdicts) == 53
     failing = [claim.sentence[:40] for claim, each in zip(claims.CLAIMS, verdicts) if each.verdict == claims.FAILS]
     assert failing == [
@@ -149,7 +149,7 @@ def test_each_claim_names_tasks_and_what_is_needed():
 
 def test_the_papers_own_task_goes_before_the_one_that_stands_in_for_it():
     own, stand_in = ("smac-3s5z", "smac-3s5z", "mappo", 1.0, 5), ("smaclite-3s5z-sc2", "smac-3s5z", "mappo", 2.0, 5)
-    key = "max_return", True, "smac-3s5z", "mappo"
+    key = "max_return", "shared", "smac-3s5z", "mappo"
     for runs in ([own, stand_in], [stand_in, own]):
         assert claims.View.of(named_cells(runs)).cell(*key).value == 1
     assert claims.View.of(named_cells([stand_in])).cell(*key).value == 2
@@ -157,30 +157,30 @@ def test_the_papers_own_task_goes_before_the_one_that_stands_in_for_it():
 
 def test_the_claims_do_not_compare_two_games():
     """Where nearly all was run on the stand-in, one algorithm's result of the paper's own task is left aside."""
-    runs = [("smaclite-3s5z-sc2", "smac-3s5z", name, 1.0, 5) for name in results.ALGORITHMS]
+    runs = [("smaclite-3s5z-sc2", "smac-3s5z", name, 1.0, 5) for name in store.ALGORITHMS]
     view = claims.View.of(named_cells([*runs, ("smac-3s5z", "smac-3s5z", "mappo", 9.0, 5)]))
-    assert set(view.values("max_return", True, "smac-3s5z").values()) == {1}
+    assert set(view.values("max_return", "shared", "smac-3s5z").values()) == {1}
 
 
 def test_the_luck_of_untrained_networks_does_not_count():
     """IQL's maximum before training is the best; the average over training takes its place."""
-    maxima = table({"matrix-climbing": dict.fromkeys(results.ALGORITHMS, 175) | {"iql": 195}})
-    averages = table({"matrix-climbing": dict.fromkeys(results.ALGORITHMS, 150)}, "average_return")
+    maxima = table({"matrix-climbing": dict.fromkeys(store.ALGORITHMS, 175) | {"iql": 195}})
+    averages = table({"matrix-climbing": dict.fromkeys(store.ALGORITHMS, 150)}, "average_return")
     paper = claims.View.of(pd.concat([maxima, averages]))  # that these maxima are untrained is known
     ours = pd.concat([maxima, averages]).assign(paper_task="matrix-climbing", other_budget=False)
     ours["at_start"] = (ours["algorithm"] == "iql") & (ours["metric"] == "max_return")
     for view, best in ((paper, 175), (claims.View.of(ours), 175)):
         assert claims.Scope(view, "matrix-climbing", "max_return").best == best
-        assert view.cell("max_return", True, "matrix-climbing", "iql").value == 150
+        assert view.cell("max_return", "shared", "matrix-climbing", "iql").value == 150
 
 
 def test_which_maxima_of_the_paper_are_untrained():
     """Those of our runs that lie before training, and are the paper's to the cent."""
-    ours = results.our_cells(results.load())
+    ours = measures.our_cells(store.load())
     ours = ours[ours["at_start"] & (ours["metric"] == "max_return")]
     found = set(ours[["metric", "sharing", "task", "algorithm"]].itertuples(index=False, name=None))
     assert found == claims.UNTRAINED
-    both = ours.merge(results.paper_cells(), on=["metric", "sharing", "task", "algorithm"])
+    both = ours.merge(store.paper_cells(), on=["metric", "sharing", "task", "algorithm"])
     assert len(both) == len(ours) and (both["mean_x"] - both["mean_y"]).abs().max() < 0.005
 
 
@@ -196,7 +196,7 @@ def test_that_sharing_improves_is_not_said_of_the_matrix_games():
     task = "matrix-penalty-0"
     parts = [
         table({task: {"iql": 9, "ia2c": with_sharing}}, sharing=sharing)
-        for sharing, with_sharing in ((True, 0), (False, 9))
+        for sharing, with_sharing in (("shared", 0), ("independent", 9))
     ]
     assert verdict_on("In all environments except the matrix games, parameter", pd.concat(parts)) == claims.UNKNOWN
 
@@ -228,14 +228,14 @@ def test_sharing_where_rewards_are_sparse(gains, verdict):
     parts = []
     for task, gain in zip(("rware-tiny-2p", "rware-tiny-4p", "rware-small-4p"), gains):
         best = 10 if gain else 0
-        for sharing, value in ((True, best), (False, best - gain)):
-            parts.append(table({task: dict.fromkeys(results.ALGORITHMS[1:], value)}, sharing=sharing))
+        for sharing, value in (("shared", best), ("independent", best - gain)):
+            parts.append(table({task: dict.fromkeys(store.ALGORITHMS[1:], value)}, sharing=sharing))
     assert claims.sharing_rware(claims.View.of(pd.concat(parts))).verdict == verdict
 
 
 def test_several_significant_cases_of_sharing():
-    better, worse = ({"mpe-tag": dict.fromkeys(results.ALGORITHMS[:3], value)} for value in (5, 1))
-    found = claims.sharing_significant(claims.View.of(pd.concat([table(better), table(worse, sharing=False)])))
+    better, worse = ({"mpe-tag": dict.fromkeys(store.ALGORITHMS[:3], value)} for value in (5, 1))
+    found = claims.sharing_significant(claims.View.of(pd.concat([table(better), table(worse, sharing="independent")])))
     assert found.verdict == claims.HOLDS and found.figures.startswith(
         "3 of 225 pairs, 216 not measured: IQL on mpe-tag"
     )
@@ -268,7 +268,7 @@ def of_rware(first, second, seeds):
 
 
 def best_in_rware(*cells):
-    found = dict(zip(claims.CLAIMS, claims.judge(of_rware(*cells), {(True, "rware-tiny-2p", "mappo"): 0.5})))
+    found = dict(zip(claims.CLAIMS, claims.judge(of_rware(*cells), {("shared", "rware-tiny-2p", "mappo"): 0.5})))
     return found[claim("MAPPO's returns in RWARE exceed")]
 
 
@@ -282,8 +282,8 @@ def test_a_narrow_difference_of_single_seeds_is_too_close_to_call():
 
 def test_cells_are_completed_with_the_papers_spread():
     """The mean of five seeds, n of which are known, varies by s^2 (1 / n - 1 / 5) about that of the n."""
-    where = "max_return", True, "rware-tiny-2p", "mappo"  # the paper: 21.16 +- 1.50
-    paper = claims.View.of(results.paper_cells())
+    where = "max_return", "shared", "rware-tiny-2p", "mappo"  # the paper: 21.16 +- 1.50
+    paper = claims.View.of(store.paper_cells())
     deviation = 1.50 * np.sqrt(5) / 2
     for seeds, spread in ((1, deviation), (3, np.sqrt(4 * deviation**2 / 6))):  # the three seeds are all the same
         view = claims.View({where: claims.Cell(20.0, 0.0, seeds)})

@@ -14,8 +14,8 @@ from PIL import Image
 from scipy.stats import ttest_ind
 from scripts import ROOT
 
-import compare
-from reporting.results import RESULTS
+from benchmark import compare
+from benchmark.store import RESULTS
 
 
 def test_the_interval_is_that_of_students_t_test():

@@ -76,6 +76,48 @@ def test_wrong_options(options: dict[str, Any], message: str) -> None:
         make(**options)
 
 
+def test_copies_without_a_seed_play_different_episodes() -> None:
+    starts = [observation.tobytes() for _ in range(5) for observation in make("lbf-8x8-2p-2f", 20).reset()[0]]
+    assert len(set(starts)) == 100
+    env = make()
+    first = env.reset(seed=3)[0]
+    assert (env.reset()[0] != first).any()
+    np.testing.assert_array_equal(env.reset(seed=3)[0], first)
+
+
+def test_one_environment_in_tuple_form() -> None:
+    """As lbforaging and rware have it: what EPyMARL's wrapper asks for, two episodes beside `envs.make`."""
+    env: Any = gymnasium.make("marl/task", task=SPEAKER, seed=5)
+    vector, inner = envs.make(SPEAKER, seed=5), env.unwrapped
+    assert (inner.n_agents, inner.episode_limit) == (2, 25)
+    assert max(env.action_space, key=lambda space: space.n).n == 5
+    assert [gymnasium.spaces.flatdim(space) for space in env.observation_space] == [11, 11]
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        (observations, info), (expected, _) = env.reset(), vector.reset()
+        ended = False
+        while not ended:
+            assert env.observation_space.contains(observations)
+            np.testing.assert_array_equal(observations, expected[0])
+            assert [mask.tolist() for mask in info["action_mask"]] == [[1] * 3, [1] * 5]
+            actions = [int(rng.integers(3)), int(rng.integers(5))]
+            observations, rewards, terminated, truncated, info = env.step(actions)
+            expected, _, *flags, theirs = vector.step([actions])
+            assert rewards == theirs["agent_rewards"][0].tolist()
+            assert [terminated, truncated] == [bool(flag[0]) for flag in flags]
+            ended = terminated or truncated
+        assert info["statistics"] == {name: values[0] for name, values in theirs["statistics"].items()}
+
+
+def test_one_environment_of_every_id() -> None:
+    for name in envs.task_names():
+        env = gymnasium.make(f"marl/{name}", render_mode="rgb_array")
+        env.reset(seed=1)
+        assert len(env.step(env.action_space.sample())) == 5
+        assert np.asarray(env.render()).dtype == np.uint8
+        env.close()
+
+
 # --- Autoreset modes ---------------------------------------------------------------------------------------------
 
 
@@ -240,7 +282,7 @@ def test_gymnasium_counts_episodes_right(mode: AutoresetMode) -> None:
 
 
 def test_normalised_observations() -> None:
-    env = NormalizeObservation(make(num_envs=8))
+    env = NormalizeObservation(make(num_envs=8, seed=0))
     rng = np.random.default_rng(0)
     _, info = env.reset()
     seen = []

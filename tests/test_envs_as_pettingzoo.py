@@ -16,8 +16,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Discrete
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test, parallel_seed_test
+from pettingzoo.test.render_test import render_test
+from pettingzoo.utils import parallel_to_aec
 
 import envs
+from envs.adapters import as_gymnasium
+from envs.vector import kinds_of, numbered
 
 LBF = "lbf-5x5-2p-1f"
 SPEAKER = "mpe-speaker-listener"
@@ -47,7 +51,7 @@ def test_the_game_is_the_vectors(name: str) -> None:
     env, vector = envs.pettingzoo_env(name, seed=5), envs.make(name, seed=5)
     assert isinstance(env, ParallelEnv) and not env.agents
     agents = env.possible_agents
-    assert agents == [f"agent_{i}" for i in range(vector.n_agents)]
+    assert agents == list(vector.agent_names)
     assert list(env.teams.values()) == list(vector.teams) and list(env.teams) == agents
     for episode in range(2):
         (observations, infos), (expected, info) = env.reset(), vector.reset()
@@ -83,10 +87,42 @@ def test_own_actions_and_rewards() -> None:
     env = envs.pettingzoo_env(SPEAKER)
     assert [env.action_space(agent) for agent in env.possible_agents] == [Discrete(3), Discrete(5)]
     env = envs.pettingzoo_env("mpe-adversary-selfplay")
-    assert env.teams == {"agent_0": 1, "agent_1": 0, "agent_2": 0}
+    assert env.teams == {"adversary_0": 1, "agent_0": 0, "agent_1": 0}
     env.reset()
     rewards = env.step(dict.fromkeys(env.agents, 0))[1]
-    assert rewards["agent_0"] < 0 and rewards["agent_0"] != rewards["agent_1"] == rewards["agent_2"]
+    assert rewards["adversary_0"] < 0 and rewards["adversary_0"] != rewards["agent_0"] == rewards["agent_1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "agents"),
+    [
+        (LBF, "agent_0 agent_1"),
+        (SPEAKER, "speaker_0 listener_0"),
+        ("mpe2-adversary-selfplay", "adversary_0 agent_0 agent_1"),
+        ("mpe-tag-selfplay", "adversary_0 adversary_1 adversary_2 agent_0"),
+        ("mpe-tag", "agent_0 agent_1 agent_2"),  # the prey is part of the game
+        ("pettingzoo:mpe2.simple_speaker_listener_v4", "speaker_0 listener_0"),
+    ],
+)
+def test_names_tell_kind_and_side(name: str, agents: str) -> None:
+    """Libraries such as TorchRL and AgileRL make a group of the agents whose names differ in the last number only."""
+    env = envs.pettingzoo_env(name)
+    assert env.possible_agents == agents.split()
+    groups: dict[str, set[Any]] = {}
+    for agent in env.possible_agents:
+        kind = env.teams[agent], env.action_space(agent).n
+        groups.setdefault(agent.rpartition("_")[0], set()).add(kind)
+    assert all(len(kinds) == 1 for kinds in groups.values()), groups
+
+
+def test_names_where_nobody_gives_any() -> None:
+    assert numbered(kinds_of((0, 0), (3, 3))) == ("agent_0", "agent_1")
+    assert numbered(kinds_of((0, 1, 0), (3, 3, 3))) == ("team0_0", "team1_0", "team0_1")
+    assert numbered(kinds_of((0, 0, 0), (3, 5, 3))) == (
+        "agent_with_3_actions_0",
+        "agent_with_5_actions_0",
+        "agent_with_3_actions_1",
+    )
 
 
 def test_a_time_out_is_a_truncation_and_the_end_of_a_game_is_not() -> None:
@@ -101,6 +137,31 @@ def test_a_time_out_is_a_truncation_and_the_end_of_a_game_is_not() -> None:
         ends.append((length == 50, terminations["agent_0"], truncations["agent_1"]))
     assert set(ends) >= {(True, False, True), (False, True, False)}
     assert set(ends) <= {(True, False, True), (False, True, False), (True, True, False)}
+
+
+@pytest.mark.parametrize(
+    "name", ["lbf-8x8-2p-2f-c", "lbf-15x15-4p-5f", "rware-tiny-2p", SPEAKER, "mpe-tag", "mpe2-adversary-selfplay"]
+)
+def test_copies_without_a_seed_play_different_episodes(name: str) -> None:
+    """100 starts of 20 copies. Matrix games and battles are not here, since all their episodes begin alike; and in
+    lbf-5x5-2p-1f, which is small, two of 100 starts may be equal by chance."""
+    starts = set()
+    for _ in range(20):
+        env = envs.pettingzoo_env(name)
+        for _ in range(5):
+            observations, _ = env.reset()
+            starts.add(np.concatenate([*observations.values(), env.state()]).tobytes())
+    assert len(starts) == 100
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_of_one_that_was_not_seeded_differ(duplicate: Callable[[Any], Any]) -> None:
+    """SuperSuit, and with it SB3, makes its copies like this, before the first reset."""
+    env = envs.pettingzoo_env("lbf-8x8-2p-2f-c")
+    starts = {each.reset()[0]["agent_0"].tobytes() for each in (env, *(duplicate(env) for _ in range(9)))}
+    assert len(starts) == 10
+    first = [duplicate(envs.pettingzoo_env(LBF, seed=4)).reset()[0]["agent_0"].tolist() for _ in range(2)]
+    assert first[0] == first[1]
 
 
 def test_seeds() -> None:
@@ -130,10 +191,10 @@ def test_forbidden_actions() -> None:
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ({"agent_0": 1}, "there is no action for agent_1"),
-        ({"agent_0": 3, "agent_1": 4}, "agent_0 has no action 3; its actions are 0 to 2"),
-        ({"agent_0": 0, "agent_1": -1}, "agent_1 has no action -1; its actions are 0 to 4"),
-        ({"agent_0": 1.0, "agent_1": 1}, r"agent_0 has no action 1\.0"),
+        ({"speaker_0": 1}, "there is no action for listener_0"),
+        ({"speaker_0": 3, "listener_0": 4}, "speaker_0 has no action 3; its actions are 0 to 2"),
+        ({"speaker_0": 0, "listener_0": -1}, "listener_0 has no action -1; its actions are 0 to 4"),
+        ({"speaker_0": 1.0, "listener_0": 1}, r"speaker_0 has no action 1\.0"),
     ],
 )
 def test_wrong_actions(actions: dict[str, Any], message: str) -> None:
@@ -145,12 +206,12 @@ def test_wrong_actions(actions: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{SPEAKER}: {message}"):
         env.step(actions)
     np.testing.assert_array_equal(env.state(), before)
-    env.step({"agent_0": np.int32(2), "agent_1": np.array(4)})
-    env.step({"agent_0": True, "agent_1": True})  # Python and Gymnasium take a bool for an int
+    env.step({"speaker_0": np.int32(2), "listener_0": np.array(4)})
+    env.step({"speaker_0": True, "listener_0": True})  # Python and Gymnasium take a bool for an int
 
 
 def test_what_is_returned_is_the_callers() -> None:
-    env, untouched = envs.pettingzoo_env(LBF), envs.pettingzoo_env(LBF)
+    env, untouched = envs.pettingzoo_env(LBF, seed=0), envs.pettingzoo_env(LBF, seed=0)
     observations, infos = env.reset()
     untouched.reset()
     for agent in env.agents:
@@ -183,20 +244,56 @@ def test_pictures() -> None:
     env.reset()
     frame = env.render()
     assert frame is not None and frame.dtype == np.uint8 and frame.ndim == 3 and frame.shape[2] == 3
-    assert (env.render_mode, env.metadata["render_modes"], env.metadata["render_fps"]) == (
-        "rgb_array",
-        ["rgb_array"],
-        5,
-    )
+    assert (env.render_mode, env.metadata["render_fps"]) == ("rgb_array", 5)
+    assert env.metadata["render_modes"] == ["rgb_array", "human"]
     assert envs.pettingzoo_env(LBF).render() is None
     assert envs.pettingzoo_env("own:examples.meeting_numpy").metadata["render_modes"] == []
+
+
+@pytest.mark.parametrize("display", [False, True])
+@pytest.mark.parametrize("name", [LBF, "rware-tiny-2p", SPEAKER, "matrix-climbing", BATTLE])
+def test_pettingzoos_render_test(monkeypatch: pytest.MonkeyPatch, name: str, display: bool) -> None:
+    """With a window, which a backend without windows stands for here, and without: arrays, and a sentence."""
+    monkeypatch.setattr(as_gymnasium, "has_display", lambda: display)
+    monkeypatch.setattr("matplotlib.pyplot.pause", lambda seconds: None)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        render_test(lambda render_mode: parallel_to_aec(envs.pettingzoo_env(name, render_mode=render_mode)))
+    assert [str(each.message) for each in said] == [
+        f"{name}: there is no display here, so `render` returns arrays (rgb_array)."
+    ] * (not display)
+
+
+def test_a_window_shows_each_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(as_gymnasium, "has_display", lambda: True)
+    monkeypatch.setattr("matplotlib.pyplot.pause", lambda seconds: None)
+    env, twin = (envs.pettingzoo_env(LBF, seed=1, render_mode=mode) for mode in ("human", "rgb_array"))
+    env.reset()
+    twin.reset()
+    for _ in range(2):
+        assert env.window is not None
+        np.testing.assert_array_equal(env.window.image.get_array(), twin.render())
+        env.step({"agent_0": 1, "agent_1": 2})
+        twin.step({"agent_0": 1, "agent_1": 2})
+    assert env.render() is None
+    env.close()
+
+
+def test_a_generator_for_wrappers() -> None:
+    """SuperSuit's frame_skip draws from `unwrapped.np_random`."""
+    draws = []
+    for _ in range(2):
+        env = envs.pettingzoo_env(LBF)
+        env.reset(seed=3)
+        draws.append(env.unwrapped.np_random.integers(1000, size=5).tolist())
+    assert draws[0] == draws[1]
 
 
 @pytest.mark.parametrize(
     ("name", "render_mode", "message"),
     [
         ("lbf-5x5", None, "unknown task 'lbf-5x5'"),
-        (LBF, "human", "render_mode is 'human'; it must be 'rgb_array' or None"),
+        (LBF, "ansi", "render_mode is 'ansi'; it must be 'rgb_array', 'human' or None"),
         ("own:examples.meeting_numpy", "rgb_array", "meeting_numpy has no pictures"),
     ],
 )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import random
 import subprocess
 import sys
+import tracemalloc
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ from scripts import ROOT, load_module, script, trained
 
 import envs
 from envs import runs
-from envs.check import problems
+from envs.check import hints, problems
 from envs.vector import VectorEnv, forbidden_action
 
 meeting_numpy: Any = load_module(ROOT / "examples" / "meeting_numpy.py")
@@ -468,6 +471,77 @@ def test_what_an_adapter_finds_while_it_plays(monkeypatch: pytest.MonkeyPatch, t
     assert problems(make) == ["pettingzoo:toy_odd_too: the agents ['b'] play on without an observation."]
     with pytest.raises(envs.InputError, match="need discrete ones"):
         problems(lambda num_envs, seed, copy: make(num_envs, seed, copy, "continuous"))
+
+
+@pytest.fixture
+def toys_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Modules of toys in the current folder."""
+    for name in ("Reseeds", "Painted", "Sides"):
+        (tmp_path / f"a_toy_{name.lower()}.py").write_text(f"from toys import {name} as parallel_env\n")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("when", ["made", "reset", "step"])
+@pytest.mark.parametrize("what", ["random", "numpy", "torch"])
+def test_a_game_that_seeds_what_all_share(toys_here: None, what: str, when: str) -> None:
+    """It is said, and the check itself leaves these generators alone."""
+    before = random.getstate(), np.random.get_state()[1].tolist(), torch.get_rng_state()  # type: ignore[index]
+    (found,) = problems(
+        lambda num_envs, seed, copy: envs.make(
+            "pettingzoo:a_toy_reseeds", num_envs, seed, copy, env_kwargs={"what": what, "when": when}
+        )
+    ) or [""]
+    call = {"random": "random.seed", "numpy": "numpy.random.seed", "torch": "torch.manual_seed"}[what]
+    moment = {"made": "it is made", "reset": "an episode begins", "step": "it makes a step"}[when]
+    assert f"The environment calls {call}, " in found and moment in found
+    if what != "random":
+        assert random.getstate() == before[0]
+    if what != "numpy":
+        assert np.random.get_state()[1].tolist() == before[1]  # type: ignore[index]
+    if what != "torch":
+        assert torch.equal(torch.get_rng_state(), before[2])
+
+
+def test_hints(toys_here: None) -> None:
+    """What makes learning hard and breaks no rule."""
+
+    def hints_for(name: str, **options: Any) -> list[str]:
+        return hints(lambda num_envs, seed, copy: envs.make(name, num_envs, seed, copy, **options))
+
+    assert hints_for("lbf-15x15-3p-5f") == hints_for("mpe-spread") == []
+    assert hints_for("pettingzoo:a_toy_painted", flatten_images=True) == []
+    (far,) = hints_for("pettingzoo:a_toy_painted", env_kwargs={"kind": "high vector"})
+    assert far.startswith("Observations reach 1,000.")
+    (sides,) = hints_for("pettingzoo:a_toy_sides")
+    assert "red_0 and blue_0 do not earn the same" in sides
+
+
+class Wide(VectorEnv):
+    """Large observations; an episode lasts as long as the name says."""
+
+    def __init__(self, steps: int, num_envs: int, seed: int, copy: bool) -> None:
+        sizes = {"n_agents": 1, "n_actions": 2, "obs_size": 50_000, "episode_limit": steps}
+        super().__init__("wide", num_envs, seed, copy, low=0, high=1, **sizes)  # type: ignore[arg-type]
+        self.steps = np.zeros(num_envs, np.int64)
+
+    def reset_env(self, e: int, rng: Any) -> None:
+        self.steps[e] = 0
+        self.observations[e] = rng.random()
+
+    def step_env(self, e: int, actions: Any, rng: Any) -> None:
+        self.steps[e] += 1
+        self.truncated[e] = self.steps[e] == self.episode_limit
+
+
+def test_no_episode_is_kept_as_a_whole() -> None:
+    """Longer episodes take no more memory."""
+    peaks = []
+    for steps in (10, 60):
+        tracemalloc.start()
+        assert problems(partial(Wide, steps)) == []
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0], peaks
 
 
 # ---------------------------------------------------------------------------------------------------------------------

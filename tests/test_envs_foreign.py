@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import ANY
 
@@ -16,14 +19,16 @@ import lbforaging  # noqa: F401 (registers its environments)
 import numpy as np
 import pytest
 import rware  # noqa: F401 (registers its environments)
+import torch
 from mpe2 import simple_speaker_listener_v4, simple_spread_v3
 from pettingzoo.sisl import pursuit_v5
-from scripts import NAMES, ROOT, parse, script
+from scripts import NAMES, ROOT, VALUE_BASED, parse, script, trained
 from test_algos_families import few_updates
 from test_algos_runs import command, evaluations, main
 from toys import Queue
 
 import envs
+from envs import runs
 from envs.adapters.foreign import parse_kwargs
 from envs.vector import episode_seed
 
@@ -109,7 +114,7 @@ def test_tuple_environments(name: str, limit: int) -> None:
 def toys(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Modules with a parallel_env, in a folder that is the current one."""
     folder = tmp_path_factory.mktemp("toys")
-    for name in ("Queue", "Broken", "Odd"):
+    for name in ("Queue", "Broken", "Odd", "Painted", "Sides", "Reseeds"):
         (folder / f"toy_{name.lower()}.py").write_text(
             f"import sys\nsys.path.append({str(ROOT / 'tests')!r})\nfrom toys import {name} as parallel_env\n"
         )
@@ -117,6 +122,8 @@ def toys(tmp_path_factory: pytest.TempPathFactory) -> Any:
     (folder / "toy_nothing.py").write_text("")
     (folder / "toy_import.py").write_text("import a_package_that_nobody_has\n")
     (folder / "toy_moved.py").write_text("raise ImportError('this has moved to another package')\n")
+    (folder / "toy_wrong.py").write_text("\n1 / 0\n")
+    (folder / "toy_syntax.py").write_text("def (:\n")
     (folder / "toy_empty.py").write_text("class parallel_env: pass\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -240,13 +247,13 @@ def test_workers_play_what_one_process_plays() -> None:
 
 @pytest.mark.parametrize(
     ("how", "message"),
-    [("error", r"(?s)worker process 0 .*Traceback.*ZeroDivisionError: the toy is broken"), ("killed", "exit code -9")],
+    [("error", r"fails in step \(.*toys.py, line \d+\) with ZeroDivisionError: the toy"), ("killed", "exit code -9")],
 )
 def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
     env = envs.make("pettingzoo:toy_broken", 3, env_kwargs={"how": how}, env_workers=2)
     env.reset()
     env.step([[0, 0, 0]] * 3)
-    with pytest.raises(RuntimeError, match=message):
+    with pytest.raises((envs.InputError, RuntimeError), match=message):
         env.step([[0, 0, 0]] * 3)
 
 
@@ -255,7 +262,7 @@ def test_a_worker_that_is_busy_when_another_dies_says_nothing(capfd: Any) -> Non
     env = envs.make("pettingzoo:toy_broken", 2, seed, env_kwargs={"how": "one is slow"}, env_workers=2)
     env.reset()
     env.step([[0, 0, 0]] * 2)
-    with pytest.raises(RuntimeError, match="worker process 0 has ended with this error"):
+    with pytest.raises(envs.InputError, match="ZeroDivisionError: the toy is broken"):
         env.step([[0, 0, 0]] * 2)
     assert "Traceback" not in capfd.readouterr().err
 
@@ -357,7 +364,7 @@ def test_a_worker_that_hangs_ends_with_its_program(how: str, end: str, code: int
         (
             "pettingzoo:toy_odd",
             {"env_kwargs": "kind='image'"},
-            r"observations of the shape \(4, 4\), not vectors; `flatten_images`",
+            r"observations of the shape \(4, 4, 3\), not vectors; `flatten_images`",
         ),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='sequence'"}, "observations without a fixed size"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='no limit'"}, "says nowhere how long .*; `max_episode_steps` does"),
@@ -367,8 +374,49 @@ def test_a_worker_that_hangs_ends_with_its_program(how: str, end: str, code: int
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='newcomer'"}, "'d'.* are not among its possible_agents"),
         ("pettingzoo:toy_odd", {"env_kwargs": "kind='named teams'"}, "are not a number for each agent"),
         ("gymnasium:Tuples-v0", {"env_kwargs": "variant='teams from 1'"}, r"its teams \(1, 2\) are not a number"),
-        ("pettingzoo:toy_odd", {"env_kwargs": "kind='wrong value'"}, "does not take .*: KeyError: 'wrong value'"),
-        ("gymnasium:FrozenLake-v1", {"env_kwargs": "map_name='9x9'"}, "does not take .*: KeyError: '9x9'"),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='wrong value'"},
+            r"own code fails when it is built \(.*toys.py, line \d+\) with KeyError: 'wrong value'; it was given",
+        ),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='asserts'"},
+            r"fails when it is built \(.*, line \d+\) with AssertionError; it",
+        ),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='reset fails'"},
+            r"fails in reset \(.*toys.py, line \d+\) with ZeroDivisionEr",
+        ),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='reset without infos'"},
+            "observations and infos, .*; reset returns dict",
+        ),
+        (
+            "pettingzoo:toy_odd",
+            {"env_kwargs": "kind='spaces as attributes'"},
+            "must be functions that return a space; TypeError",
+        ),
+        ("pettingzoo:toy_odd", {"env_kwargs": "kind='a flag as a limit'"}, "says nowhere how long"),
+        ("pettingzoo:toy_wrong", {}, r"fails when it is imported \(.*toy_wrong.py, line 2\) with ZeroDivisionError"),
+        ("pettingzoo:toy_syntax", {}, r"fails when it is imported \(.*toy_syntax.py, line 1\) with SyntaxError"),
+        (
+            "gymnasium:OldGym-v0",
+            {"env_kwargs": "variant='no info'"},
+            "must return observations and a dictionary, .*; reset retu",
+        ),
+        (
+            "gymnasium:ByAgent-v0",
+            {},
+            "a dictionary of actions by agent, as PettingZoo's .* played as pettingzoo:<module>",
+        ),
+        (
+            "gymnasium:FrozenLake-v1",
+            {"env_kwargs": "map_name='9x9'"},
+            "fails when it is built .*frozen_lake.py, line .*KeyError: '9x9'; it was given {'map_name': '9x9'}",
+        ),
         ("pettingzoo:toy_moved", {}, "toy_moved: this has moved to another package"),
         ("pettingzoo:toy_empty", {}, "has no possible_agents"),
         ("pettingzoo:toy_queue", {"max_episode_steps": -1}, "it must be a whole number from 0 on"),
@@ -409,7 +457,9 @@ def test_what_is_not_one_thing_for_each_agent(variant: str) -> None:
     [
         ("growing state", "its state has 2 values now, and had 1"),
         ("late state", "its state has 2 values now, and had 0"),  # it would overwrite the observations
-        ("state fails", "its function state fails: ValueError: need at least one array"),
+        ("state fails", r"fails in state \(.*toys.py, line \d+\) with ValueError: need at least one array"),
+        ("four values", "infos, and step.* five: .*; step returns 4 values"),
+        ("mask at first", "agent 1 has no action mask after step 1 of the episode, and had one before"),
         ("blind", r"the agents \['b'\] play on without an observation"),
         ("two rewards", r"\[1, 2\] is no reward"),
         ("unpaid", r"the agents \['b'\] have acted and get no reward"),
@@ -455,8 +505,107 @@ def test_pictures_that_cannot_be_had() -> None:
     assert not env.can_draw and env.reset()[0].shape == (1, 3, 3)
     env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": "picture of fractions"}, pictures=True)
     env.reset()
-    with pytest.raises(envs.InputError, match="has no picture of integers from 0 to 255"):
+    with pytest.raises(envs.InputError, match=r"float64 \(4, 4, 3\), and no picture .* of integers from 0 to 255"):
         env.frame()
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        ("render fails", r"fails in render \(.*toys.py, line \d+\) with ZeroDivisionError: no screen"),
+        ("render is None", "its render gives NoneType, and no picture"),
+        ("pictures grow", "must be of one size, and these have 4 x 4 and 4 x 5 and"),
+    ],
+)
+def test_a_film_that_cannot_be_made(tmp_path: Path, kind: str, why: str) -> None:
+    env = envs.make("pettingzoo:toy_odd", env_kwargs={"kind": kind}, pictures=True)
+    team = SimpleNamespace(reset=lambda: None, act=lambda observations, info: info["action_mask"].argmax(2))
+    assert re.search(f"There is no film: .*{why}", envs.film(env, team, 0, tmp_path / "film.gif"))
+
+
+@pytest.mark.parametrize(("id", "variant"), [("OldGym-v0", "four values"), ("Unseeded-v0", "")])
+def test_interfaces_of_gym(id: str, variant: str) -> None:
+    """Gymnasium's wrappers stumble over them first."""
+    with pytest.raises(
+        envs.InputError, match=r"reset\(seed=..., options=...\) must return observations and a dict.*Error"
+    ):
+        env = envs.make(f"gymnasium:{id}", env_kwargs={"variant": variant})
+        env.reset()
+        env.step([[0, 0]])
+
+
+def test_limits_of_other_types() -> None:
+    assert envs.make("pettingzoo:toy_odd", env_kwargs='kind="numpy\'s limit"').episode_limit == 6
+
+
+def test_images_of_bytes_become_fractions() -> None:
+    """Bytes from 0 to 255, in three dimensions or two; neither other numbers nor vectors."""
+    seen, spaces = {}, {}
+    for kind in ("bytes", "fractions", "binary", "table", "high vector"):
+        env = envs.make(
+            "pettingzoo:toy_painted", env_kwargs={"kind": kind}, flatten_images=kind not in ("table", "high vector")
+        )
+        seen[kind], spaces[kind] = env.reset(seed=3)[0][0, 0], env.single_observation_space
+    np.testing.assert_allclose(seen["bytes"], seen["fractions"])
+    assert set(seen["bytes"].tolist()) == {0, 1}
+    assert (seen["binary"] == 1).all() and (seen["table"] == 0.5).all() and (seen["high vector"] == 900).all()
+    assert [float(space.high.max()) for space in spaces.values()] == [1, 1, 1, 1, 1000]  # type: ignore[attr-defined]
+
+
+def test_the_wrapper_that_divides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the how-to shows it."""
+    page = (ROOT / "docs" / "how-to" / "use-pettingzoo-or-gymnasium.md").read_text(encoding="utf-8")
+    block = re.search(r"```python\n(.*?)```", page, re.S)
+    assert block
+    (tmp_path / "a_divided_game.py").write_text(block[1])
+    monkeypatch.chdir(tmp_path)
+    options: Any = {"flatten_images": True, "env_kwargs": "max_cycles=5"}
+    divided, plain = (envs.make(name, seed=1, **options) for name in ("pettingzoo:a_divided_game", PURSUIT))
+    np.testing.assert_allclose(divided.reset()[0], plain.reset()[0] / 30, rtol=1e-6)
+    step = [[1] * 8]
+    np.testing.assert_allclose(divided.step(step)[0], plain.step(step)[0] / 30, rtol=1e-6)
+    assert divided.episode_limit == plain.episode_limit == 5
+
+
+@pytest.mark.slow
+def test_a_team_learns_from_images_of_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In an episode of 20 steps, guessing earns 10 and the best team 20. Undivided bytes stay at 10 for so long."""
+    options: Any = {"env_kwargs": "kind='bytes'", "flatten_images": True}
+    learnt = trained(monkeypatch, "ippo", 100, "pettingzoo:toy_painted", learning_rate=0.001, **options)
+    env = envs.make("pettingzoo:toy_painted", 50, seed=9, **options)
+    team = script("ippo").SamplingTeam(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
+    figure = runs.evaluate(env, team, 1)["return_mean"]
+    print(f"mean return {figure:.1f}")
+    assert figure > 15
+
+
+def test_sides_without_teams_are_pointed_out() -> None:
+    """Once; and not where the sides are known, or where all earn the same."""
+    for options, warned in (({}, 1), ({"teams": True}, 0), ({"cooperative": True}, 0)):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            env = envs.make("pettingzoo:toy_sides", 2, env_kwargs=options)
+            for _ in range(2):
+                env.reset()
+                env.step([[0, 0, 0]] * 2)
+        texts = [str(each.message) for each in said if "the number of each agent's team" in str(each.message)]
+        assert len(texts) == warned and all("red_0 and blue_0 do not earn the same" in text for text in texts)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_what_a_game_reports_at_the_end(workers: int) -> None:
+    """Numbers only, of team 0, by names that a table of results does not have, and nothing of earlier episodes."""
+    env = envs.make("pettingzoo:toy_odd", 2, env_kwargs={"kind": "reports"}, env_workers=workers)
+    for _ in range(2):
+        _, info = env.reset()
+        assert info["statistics"] == {}
+        totals = envs.EpisodeTotals(env)
+        while not totals.ended.all():
+            _, rewards, terminated, truncated, info = env.step([[0, 0, 0]] * 2)
+            totals.add(rewards, terminated, truncated, info)
+        means = totals.means()
+        assert {name: means[name] for name in list(means)[-3:]} == {"won": 1, "score": 3, "info_seed": 5}
+    env.close()
 
 
 def test_bounds_wider_than_our_numbers() -> None:
@@ -606,6 +755,58 @@ def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any
     assert code == 2 and "was begun with --env-kwargs N=2, max_cycles=5" in said
 
 
+def test_what_a_game_reports_becomes_columns(monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path) -> None:
+    monkeypatch.setattr(Queue, "teams", {"a": 0, "b": 0, "c": 0})
+    flags = ["--env", "pettingzoo:toy_odd", "--env-kwargs", "kind='reports'", "--total-timesteps", 60]
+    flags += ["--eval-points", 2, "--eval-episodes", 2, "--run-dir", tmp_path / "run"]
+    assert main(monkeypatch, capsys, "ippo", *flags)[0] == 0
+    table = (tmp_path / "run" / "evaluations.csv").read_text().splitlines()
+    assert table[0].endswith(",won,score,info_seed") and table[1].endswith(",1.0,3.0,5.0") and len(table) == 3
+
+
+def untrained_team(name: str, env: envs.VectorEnv, sharing: bool = True) -> Any:
+    """A team of a script with a GRU, as in its first step."""
+    module = script(name)
+    args = module.Args(network="gru", hidden_dim=8, parameter_sharing=sharing)
+    torch.manual_seed(0)
+    agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, "gru")
+    team = module.EpsilonGreedyTeam if name in VALUE_BASED else module.SamplingTeam
+    return team(args, agents, torch.Generator().manual_seed(1))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_team_takes_what_environments_give(name: str) -> None:
+    """Masks of PettingZoo are int8, and many observations float64."""
+    env = envs.make("smaclite-3m", 4)
+    observations, info = env.reset()
+    actions = untrained_team(name, env).act(observations, info)
+    others = untrained_team(name, env).act(
+        observations.astype(np.float64), {"action_mask": info["action_mask"].astype(np.int8)}
+    )
+    np.testing.assert_array_equal(actions, others)
+
+
+@pytest.mark.parametrize("sharing", [True, False])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_team_forgets_some_episodes(name: str, sharing: bool) -> None:
+    """Those of a mask, in environments that reset by themselves."""
+    env = envs.make("lbf-8x8-2p-2f", 3)
+    observations, info = env.reset()
+    team, fresh = untrained_team(name, env, sharing), untrained_team(name, env, sharing)
+    team.reset(np.array([True, False, True]))  # there is nothing to forget yet
+    for _ in range(3):
+        team.act(observations, info)
+    before = [state.unflatten(1, (3, -1)) for state in team.hidden]
+    team.reset(np.array([False, True, False]))
+    after = [state.unflatten(1, (3, -1)) for state in team.hidden]
+    for old, new in zip(before, after):
+        assert torch.equal(old[:, [0, 2]], new[:, [0, 2]]) and not new[:, 1].any() and old[:, 1].any()
+    team.act(observations, info)
+    fresh.act(observations, info)
+    for mine, first in zip(team.hidden, fresh.hidden):
+        torch.testing.assert_close(mine.unflatten(1, (3, -1))[:, 1], first.unflatten(1, (3, -1))[:, 1])
+
+
 def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     code, said = main(monkeypatch, capsys, "qmix", "--env", "pettingzoo:toy_turns")
     assert code == 2 and "act in turn" in said and len(said.strip().splitlines()) == 1
@@ -613,6 +814,26 @@ def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: A
     assert code == 2 and "--env-workers" in said
 
 
+@pytest.mark.parametrize("name", ["qmix", "ippo"])
+def test_episodes_larger_than_the_memory(
+    monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path, name: str
+) -> None:
+    """They are refused before anything is stored."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "toy_long.py").write_text("from toys import Painted as parallel_env\n")
+    flags = ["--env", "pettingzoo:toy_long", "--env-kwargs", "kind='table'", "--max-episode-steps", 10**9]
+    code, said = main(monkeypatch, capsys, name, *flags)
+    assert code == 2 and "more than the free memory" in said and "--max-episode-steps makes" in said
+    assert len(said.strip().splitlines()) == 1 and not (tmp_path / "runs").exists()
+
+
 def test_the_table_of_tasks() -> None:
-    done = subprocess.run([sys.executable, "-m", "envs", SPREAD], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0 and SPREAD in done.stdout
+    """It takes the flags that its sentences name."""
+
+    def table(*words: str) -> Any:
+        return subprocess.run([sys.executable, "-m", "envs", *words], capture_output=True, text=True, cwd=ROOT)
+
+    done = table(SPREAD, PURSUIT, "--flatten-images")
+    assert done.returncode == 0 and SPREAD in done.stdout and PURSUIT in done.stdout
+    done = table(PURSUIT)
+    assert done.returncode == 2 and "--flatten-images makes vectors of them" in done.stderr

@@ -24,8 +24,9 @@ ALLOWED = {
     "families": ("envs.families", "envs.vector", "envs.workers"),
     "pictures": ("envs.families", "envs.render"),
     "tasks.py": ("envs.families", "envs.vector"),
-    "adapters": ("envs.adapters", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
-    "check.py": ("envs.vector",),
+    "faults.py": (),
+    "adapters": ("envs.adapters", "envs.faults", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
+    "check.py": ("envs.faults", "envs.vector"),
     "__init__.py": ("envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
     "runs": ("envs.runs", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
@@ -58,6 +59,16 @@ def test_arrows_point_one_way(name: str) -> None:
 def test_the_contract_needs_nothing_but_numpy_and_gymnasium() -> None:
     packages = {module.partition(".")[0] for module in imports("vector.py")}
     assert packages - sys.stdlib_module_names == {"numpy", "gymnasium"}
+
+
+def test_what_is_really_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Where an optional package is there, but one that it needs is not."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "a_package.py").write_text("import what_it_needs.inside\n")
+    with pytest.raises(envs.InputError, match=r"^a_package needs what_it_needs, which is not installed"):
+        envs.optional("a_package")
+    with pytest.raises(envs.InputError, match=r"^another_package is not installed; pip install -e '\.\[an_extra\]'"):
+        envs.optional("another_package", "an_extra")
 
 
 def test_importing_envs_is_light() -> None:

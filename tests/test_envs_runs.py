@@ -176,6 +176,55 @@ class TestDirectory:
         seconds = second.seconds()
         assert 100 <= seconds["wall_seconds"] < 200 and 50 <= seconds["cpu_seconds"] < 150
 
+    def test_a_table_that_another_program_holds_open(self, monkeypatch: Any, tmp_path: Path, capsys: Any) -> None:
+        """As Windows has it: the run says so and goes on, and the next save writes it. Checkpoints are tried again."""
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, self.rows)
+        replace, refused = Path.replace, {"evaluations.csv": 99, "checkpoint.pt": 2}
+        monkeypatch.setattr("envs.runs.directory.PAUSES", (0.0,) * 4)
+
+        def as_on_windows(new: Path, path: Path) -> Any:
+            if refused.get(path.name, 0):
+                refused[path.name] -= 1
+                raise PermissionError(errno.EACCES, "The process cannot access the file", str(path))
+            return replace(new, path)
+
+        monkeypatch.setattr(Path, "replace", as_on_windows)
+        more = [*self.rows, {"point": 1, "timestep": 5, "return_mean": 2.0}]
+        self.save(directory, more)
+        assert "evaluations.csv is open in another program and stays as it is; it is" in capsys.readouterr().err
+        saved = runs.last_checkpoint(tmp_path / "run")
+        assert saved is not None and saved["rows"] == more and refused["checkpoint.pt"] == 0
+        assert len((tmp_path / "run" / "evaluations.csv").read_text().splitlines()) == 2
+        refused.clear()
+        self.save(directory, more)
+        assert len((tmp_path / "run" / "evaluations.csv").read_text().splitlines()) == 3
+        assert not capsys.readouterr().err
+
+    def test_single_episodes(self, tmp_path: Path) -> None:
+        """A row for each, whose means are those of the evaluation; a run's directory may hold the table."""
+        env = envs.make("mpe-adversary-selfplay", 3)
+        env.reset(seed=1)
+        totals = envs.EpisodeTotals(env)
+        while not totals.ended.all():
+            _, rewards, terminated, truncated, info = env.step(np.ones((3, 3), np.int64))
+            totals.add(rewards, terminated, truncated, info)
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, self.rows)
+        runs.write_episodes(tmp_path / "run", totals)
+        directory._lock.lock.release()
+        open_directory(tmp_path / "run", resume=True)
+        with open(tmp_path / "run" / "episodes.csv") as file:
+            rows = list(csv.DictReader(file))
+        assert [row["episode"] for row in rows] == ["0", "1", "2"] and rows[0]["episode_length"] == "25.0"
+        means = totals.means()
+        for column, name in (
+            ("return", "return_mean"),
+            ("team_1_return", "team_1_return_mean"),
+            *[["goal_distance"] * 2],
+        ):
+            assert np.mean([float(row[column]) for row in rows]) == pytest.approx(means[name])
+
     def test_the_one_before_is_kept(self, tmp_path: Path) -> None:
         directory = open_directory(tmp_path / "run")
         for timestep in (1, 2, 3):
@@ -268,6 +317,34 @@ class TestEpisodeFile:
         with pytest.raises(InputError, match=f"would take 0 MiB, more than the free {missing}"):
             self.begin(tmp_path)
         assert not (tmp_path / "replay.bin").exists()
+
+    def test_what_is_too_large_says_what_makes_it_smaller(self, tmp_path: Path, machine: dict[str, int]) -> None:
+        """An episode beyond 2 GiB has no type in NumPy; a file beyond the memory is refused before it is made."""
+        large: Any = np.broadcast_to(np.float32(0), (5, 2**27))  # takes no memory itself
+        with pytest.raises(InputError, match=r"An episode takes 2,560 MiB.* up to 2,047; `max_episode_steps` makes"):
+            runs.EpisodeFile(tmp_path / "replay.bin", {"value": large, "played": np.zeros(4, np.bool_)}, 6, 0)
+        machine["memory"] = 1
+        with pytest.raises(InputError, match="`buffer_size` makes it smaller, and `max_episode_steps` makes"):
+            self.begin(tmp_path)
+        assert not list(tmp_path.iterdir())
+
+    def test_a_file_in_use_is_closed_before_it_is_deleted(self, tmp_path: Path, monkeypatch: Any) -> None:
+        """Windows deletes no file that is mapped."""
+        directory = open_directory(tmp_path / "run")
+        file = self.begin(tmp_path / "run")
+        self.play(file, range(1, 4))
+        unlink = Path.unlink
+
+        def as_on_windows(path: Path, missing_ok: bool = False) -> None:
+            if path.exists() and str(path) in Path("/proc/self/maps").read_text():
+                raise PermissionError(errno.EACCES, "The process cannot access the file", str(path))
+            unlink(path, missing_ok)
+
+        if Path("/proc/self/maps").exists():
+            monkeypatch.setattr(Path, "unlink", as_on_windows)
+        file.close()  # as `Run.complete` does
+        directory.complete()
+        assert not (tmp_path / "run" / "replay.bin").exists()
 
     def test_another_file_is_refused(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="complete run deletes it"):

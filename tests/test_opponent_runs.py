@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scripts import ROOT
 
-from collect import collect_run
+from benchmark import store
 from envs.families import mpe
 
 
@@ -37,7 +37,7 @@ def test_a_run_against_an_opponent_from_a_file(tmp_path: Path) -> None:
     config = json.loads((directory / "config.json").read_text())
     assert config["flags"]["env_kwargs"] == config["changed"]["env_kwargs"] == f"opponent='{first}'"
     assert config["changed"].keys() == {"env_kwargs", "total_timesteps", "eval_points", "eval_episodes"}
-    table = collect_run(directory, tmp_path / "results")
+    table = store.collect(directory, tmp_path / "results")
     assert first in table.name and json.loads(table.with_suffix(".json").read_text())["changed"] == config["changed"]
 
     (tmp_path / "prey.npz").rename(tmp_path / "moved.npz")
@@ -48,7 +48,7 @@ def test_a_run_against_an_opponent_from_a_file(tmp_path: Path) -> None:
     assert done.returncode == 2 and first in done.stderr and "this cannot change" in done.stderr
 
     assert run(tmp_path, "--env-kwargs", "opponent='other.npz'").returncode == 0
-    other = collect_run(Path(str(directory).replace(first, second)), tmp_path / "results")
+    other = store.collect(Path(str(directory).replace(first, second)), tmp_path / "results")
     assert other != table
 
     done = run(tmp_path, "--env-kwargs", "opponent='prey.npz'")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
+import sys
 import time
 from typing import Any
 
@@ -125,6 +127,9 @@ class Odd(Queue):
     def __init__(self, kind: str, render_mode: str | None = None) -> None:
         if kind == "picture" and render_mode:
             raise TypeError("there is no such argument")
+        if kind == "asserts":
+            assert not render_mode, kind
+            raise AssertionError
         self.kind = kind
         self.max_cycles = 0 if kind == "no limit" else 6  # 0: nothing says when it ends
         if kind == "wrong limit":
@@ -139,6 +144,14 @@ class Odd(Queue):
             self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]  # but see above
         if kind == "state is an array":
             self.state = np.zeros(3)  # type: ignore[method-assign, assignment]
+        if kind in ("render fails", "render is None", "pictures grow"):
+            self.metadata = {"render_modes": ["rgb_array"]}  # type: ignore[dict-item]
+        if kind == "numpy's limit":
+            self.max_cycles = np.int64(6)  # type: ignore[assignment]
+        if kind == "a flag as a limit":
+            self.max_steps, self.max_cycles = True, 0
+        if kind == "spaces as attributes":
+            self.observation_space = spaces.Dict()  # type: ignore[method-assign, assignment]
         if kind == "wrong value":
             raise KeyError(kind)
 
@@ -152,10 +165,12 @@ class Odd(Queue):
         return kinds.get(self.kind, np.zeros(2))
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        if self.kind == "reset fails":
+            raise ZeroDivisionError("by zero")
         seen, infos = super().reset()
         if self.kind == "newcomer":
             self.agents.append("d")
-        return seen, infos
+        return seen if self.kind == "reset without infos" else (seen, infos)
 
     def step(self, actions: dict[str, int]) -> Any:
         seen, rewards, *others, infos = super().step(actions)
@@ -169,6 +184,10 @@ class Odd(Queue):
             del rewards["b"]
         if self.kind == "no number as a reward":
             rewards["c"] = None
+        if self.kind == "four values":
+            return seen, rewards, others[0], infos
+        if self.kind == "reports" and not self.agents:
+            infos["c"] = {"won": True, "score": np.float32(3), "seed": 5, "name": "x", "nan": np.nan, "many": [1, 2]}
         return seen, rewards, *others, infos
 
     def seen(self) -> dict[str, Any]:
@@ -181,17 +200,25 @@ class Odd(Queue):
         return seen
 
     def render(self) -> Any:
+        if self.kind == "render fails":
+            raise ZeroDivisionError("no screen")
+        if self.kind == "render is None":
+            return None
+        if self.kind == "pictures grow":
+            return np.zeros((4 + self.steps, 4, 3), np.uint8)
         return np.full((4, 4, 3), 0.5)
 
     def infos(self) -> dict[str, Any]:
         kinds: dict[str, Any] = {"short mask": {"b": {"action_mask": [1]}}, "no infos": dict.fromkeys(self.agents)}
+        if self.kind == "mask at first" and self.steps:
+            return {agent: {} for agent in self.agents}
         return kinds.get(self.kind, super().infos())
 
     def observation_space(self, agent: str) -> Any:
         if self.kind == "wide":
             return spaces.Box(-np.inf, np.finfo(np.float64).max, (3 if agent == "b" else 2,), np.float64)
         if self.kind == "image":
-            return spaces.Box(0, 1, (4, 4), np.float32)
+            return spaces.Box(0, 1, (4, 4, 3), np.float32)
         if self.kind == "goal" and agent == "b":
             return spaces.Dict(observation=super().observation_space(agent), goal=spaces.Box(0, 9, (1,), np.int64))
         return spaces.Sequence(spaces.Discrete(2)) if self.kind == "sequence" else super().observation_space(agent)
@@ -200,5 +227,140 @@ class Odd(Queue):
         return spaces.Box(0, 1, (2,)) if self.kind == "continuous" else super().action_space(agent)
 
 
+class Painted(ParallelEnv):
+    """Two agents; the one whose half of an image is bright should take action 1. A step is an episode.
+
+    kind: "bytes", an image of 0 to 255; "fractions", the same image of 0 to 1; "binary", bytes of 0 and 1; "table", 27
+    entities of 5 values; "high vector", numbers up to 1000.
+    """
+
+    metadata = {"name": "painted"}  # noqa: RUF012
+    possible_agents = ["a_0", "a_1"]  # noqa: RUF012
+    max_cycles = 20
+
+    def __init__(self, kind: str = "bytes") -> None:
+        self.kind = kind
+
+    def observation_space(self, agent: str) -> Any:
+        table, vector = spaces.Box(-1, 1, (27, 5), np.float32), spaces.Box(0, 1000, (3,), np.float32)
+        binary = spaces.Box(0, 1, (8, 8), np.uint8)
+        bright = (
+            spaces.Box(0, 1, (8, 8, 3), np.float32)
+            if self.kind == "fractions"
+            else spaces.Box(0, 255, (8, 8, 3), np.uint8)
+        )
+        return {"table": table, "high vector": vector, "binary": binary}.get(self.kind, bright)
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Discrete(2)
+
+    def seen(self) -> dict[str, Any]:
+        self.bright = self.rng.random(2) < 0.5
+        image = np.zeros((8, 8, 3), np.uint8)
+        image[:4] = 255 * self.bright[0]
+        image[4:] = 255 * self.bright[1]
+        kinds = {
+            "fractions": (image / 255).astype(np.float32),
+            "binary": np.ones((8, 8), np.uint8),
+            "table": np.full((27, 5), 0.5, np.float32),
+            "high vector": np.full(3, 900, np.float32),
+        }
+        return dict.fromkeys(self.agents, kinds.get(self.kind, image))
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.steps, self.agents, self.rng = 0, list(self.possible_agents), np.random.default_rng(seed)
+        return self.seen(), {agent: {} for agent in self.agents}
+
+    def step(self, actions: dict[str, int]) -> Any:
+        rewards = {agent: float(actions[agent] == self.bright[i]) / 2 for i, agent in enumerate(self.possible_agents)}
+        self.steps += 1
+        late = dict.fromkeys(self.agents, self.steps == self.max_cycles)
+        seen, infos = self.seen(), {agent: dict[str, Any]() for agent in self.agents}
+        self.agents = [] if self.steps == self.max_cycles else self.agents
+        return seen, rewards, dict.fromkeys(late, False), late, infos
+
+
+class Sides(Queue):
+    """Two sides whose rewards add up to nothing; with `teams`, it says which."""
+
+    possible_agents = ["red_0", "red_1", "blue_0"]  # noqa: RUF012
+
+    def __init__(self, teams: bool = False, cooperative: bool = False) -> None:
+        self.cooperative = cooperative
+        self.teams = {"red_0": 0, "red_1": 0, "blue_0": 1} if teams else None  # type: ignore[assignment]
+
+    def observation_space(self, agent: str) -> Any:
+        return spaces.Box(0, 9, (1,), np.float32)
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Discrete(2)
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.steps, self.agents = 0, list(self.possible_agents)
+        return dict.fromkeys(self.agents, np.zeros(1, np.float32)), {agent: {} for agent in self.agents}
+
+    def step(self, actions: dict[str, int]) -> Any:
+        self.steps += 1
+        rewards = dict.fromkeys(self.agents, 1.0) if self.cooperative else {"red_0": 1.0, "red_1": 1.0, "blue_0": -2.0}
+        flags = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, self.steps == self.max_cycles)
+        seen, infos = (
+            dict.fromkeys(self.agents, np.ones(1, np.float32)),
+            {agent: dict[str, Any]() for agent in self.agents},
+        )
+        self.agents = [] if self.steps == self.max_cycles else self.agents
+        return seen, rewards, *flags, infos
+
+
+class Reseeds(Painted):
+    """Seeds a generator that the whole program shares, in one of three moments."""
+
+    def __init__(self, what: str, when: str) -> None:
+        super().__init__("table")
+        self.what, self.when = what, when
+        self.now("made")
+
+    def now(self, when: str) -> None:
+        if when == self.when:
+            seeds = {"random": random.seed, "numpy": np.random.seed, "torch": sys.modules["torch"].manual_seed}
+            seeds[self.what](0)
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        self.now("reset")
+        return super().reset(seed)
+
+    def step(self, actions: dict[str, int]) -> Any:
+        self.now("step")
+        return super().step(actions)
+
+
+class ByAgent(gymnasium.Env[Any, Any]):
+    """Dictionaries by agent, which Gymnasium has no form for."""
+
+    observation_space = spaces.Dict({"0": spaces.Discrete(2), "1": spaces.Discrete(2)})
+    action_space = observation_space
+
+
+class OldGym(Tuples):
+    """The interface that Gym had: a reset without an info, and four values of a step."""
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        seen, info = super().reset()
+        return seen if self.variant == "no info" else (seen, info)
+
+    def step(self, actions: Any) -> Any:
+        seen, reward, done, late, info = super().step(actions)
+        return (seen, reward, done, info) if self.variant == "four values" else (seen, reward, done, late, info)
+
+
+class Unseeded(Tuples):
+    """Its reset takes no seed."""
+
+    def reset(self) -> Any:  # type: ignore[override]
+        return super().reset()
+
+
+gymnasium.register("ByAgent-v0", lambda **kwargs: ByAgent(**kwargs), max_episode_steps=5)
+gymnasium.register("OldGym-v0", lambda **kwargs: OldGym(**kwargs), max_episode_steps=5)
+gymnasium.register("Unseeded-v0", lambda **kwargs: Unseeded(**kwargs), max_episode_steps=5)
 gymnasium.register("Tuples-v0", lambda **kwargs: Tuples(**kwargs))
 gymnasium.register("ThreeTuples-v0", lambda **kwargs: Tuples(**kwargs), max_episode_steps=3)

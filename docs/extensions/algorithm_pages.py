@@ -4,11 +4,12 @@ The page is written as Markdown when Sphinx reads the remarks, so that they may 
 """
 
 import difflib
-import html
 import re
 
 import charts
+import data_flow
 import pandas as pd
+import papers
 import plain_text
 import results_data
 import script
@@ -19,25 +20,33 @@ from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 REMARKS = script.ROOT / "docs" / "algorithms"
 DATA = script.ROOT / "docs" / "data"
-COMMON = "common"  # docs/algorithms/common.md has the remarks on what several scripts share
 FAMILY_TITLES = results_data.FAMILIES
-EXAMPLES = {"matrix": "matrix-climbing", "mpe": "mpe-spread", "smac": "smaclite-3s5z-sc2", "lbf": "lbf-15x15-3p-5f"}
-EXAMPLES["rware"] = "rware-tiny-4p"
-HEALTH_TITLES = {"healthy": "A healthy run", "sick": "A sick run"}
+EXAMPLES = {
+    "matrix": "matrix-climbing",
+    "mpe": "mpe-spread",
+    "smac": "smaclite-3s5z-sc2",
+    "lbf": "lbf-15x15-3p-5f",
+    "rware": "rware-tiny-4p",
+}
+SHARINGS = {"shared": "With parameter sharing", "independent": "Without parameter sharing"}
+SICK = "In the sick run"  # with these words begins what is said of it
 
 
 class Remarks:
     """What docs/algorithms/<name>.md says: its front matter, its sections, and the remarks by name."""
 
     def __init__(self, text: str):
-        front, body = {}, text
-        if text.startswith("---\n"):
-            head, body = text[4:].split("\n---\n", 1)
-            front = yaml.safe_load(head)
-        self.title: str = front.get("title", "")
+        _, head, body = text.split("---\n", 2)
+        front = yaml.safe_load(head)
+        self.title: str = front["title"]
         self.sibling: str | None = front.get("sibling")
+        self.in_latex: dict[str, str] = front.get("latex", {})
         self.sections = split(body, "## ")
-        self.remarks = split(self.sections.pop("Remarks", ""), "### ")
+        self.remarks = split(self.sections.pop("Remarks"), "### ")
+
+    def of(self, part: script.Part) -> str:
+        """The remarks on a function, or on a class and its methods."""
+        return "\n\n".join(text for name, text in self.remarks.items() if name.split(".")[0] == part.name)
 
     def unknown(self, known: script.Script) -> list[str]:
         """The remarks on what the script does not show."""
@@ -51,50 +60,47 @@ def split(text: str, mark: str) -> dict[str, str]:
 
 
 def read_remarks(name: str) -> Remarks:
-    """The remarks on an algorithm; none where nobody has written any."""
-    file = REMARKS / f"{name}.md"
-    return Remarks(file.read_text(encoding="utf-8") if file.exists() else "")
+    """The remarks on an algorithm."""
+    return Remarks((REMARKS / f"{name}.md").read_text(encoding="utf-8"))
 
 
 def page(name: str, text: str) -> str:
     """The page of an algorithm in Markdown."""
-    known, remarks, common = script.read(name), Remarks(text), read_remarks(COMMON).remarks
+    known, remarks = script.read(name), Remarks(text)
     if wrong := remarks.unknown(known):
         raise ValueError(
             f"docs/algorithms/{name}.md remarks on {', '.join(wrong)}, which algos/{name}.py does not show"
         )
-    parts = [f"---\nhide-toc: true\n---\n\n# {remarks.title or name.upper()}"]
-    parts.append(fence("idea", name, remarks.sections.get("Formulas", "")))
+    healthy, _, sick = remarks.sections["What to look at"].partition(SICK)
+    parts = [f"---\nhide-toc: true\n---\n\n# {remarks.title}", facts(known), idea(known, remarks)]
     if remarks.sibling:
-        parts += ["## Where it stands among its siblings", remarks.sections.get("What the diff teaches", "")]
+        parts += ["## Where it stands among its siblings", remarks.sections["What the diff teaches"]]
         parts.append(fence("script-diff", f"{remarks.sibling} {name}"))
-    parts += ["## The code", CODE.format(name=name), fence("script-contents", name)]
+    parts += ["## The code", CODE.format(name=name), contents(known)]
     section = ""
-    for indices in groups(known):
-        first = known.pieces[indices[0]]
-        if first.section != section:
-            section = first.section
+    for part in known.parts:
+        if part.section != section:
+            section = part.section
             parts.append(f"### {section.capitalize()}")
-        names = [known.pieces[i].name for i in indices]
-        said = [each.get(piece, "") for piece in names for each in (remarks.remarks, common)]
-        parts.append(fence("code-pair", f"{name} {' '.join(map(str, indices))}", "\n\n".join(filter(None, said))))
-    if details := remarks.sections.get("Details that matter"):
-        parts += ["## Details that matter", details]
+        parts.append(shown(known, part, remarks.of(part)))
+    parts += ["## Details that matter", remarks.sections["Details that matter"]]
     parts += ["## Hyperparameters", hyperparameters(known)]
-    parts.append("## What to look at in TensorBoard")
-    parts.append(fence("recorded-run", f"{name} healthy"))
-    parts.append(remarks.sections.get("What to look at", ""))
-    parts.append(fence("recorded-run", f"{name} sick"))
-    parts += ["## Learning curves", fence("algorithm-curves", name)]
+    parts += ["## What to look at in TensorBoard", fence("recorded-run", f"{name} healthy"), healthy]
+    parts += [fence("recorded-run", f"{name} sick"), SICK + sick]
+    parts += ["## Learning curves", CURVES]
+    measured = results_data.seeds()
+    for sharing, title in SHARINGS.items():
+        tasks = [task for task in results_data.paper_tasks() if (task, name, sharing) in measured]
+        if tasks:
+            parts += [f"**{title}**", fence("curves", " ".join(tasks), f":sharing: {sharing}\n:algorithms: {name}")]
     parts += ["## A trained team", fence("film", f":{name}")]
-    parts += ["## Commands", fence("commands", name)]
+    parts += ["## Commands", "\n".join(["```bash", *commands(name), "```"])]
     return "\n\n".join(parts) + "\n"
 
 
 CODE = """\
-All of {{download}}`algos/{name}.py <../../algos/{name}.py>` from the networks to the training loop, each function
-beside what there is to say about it. The numbers are those of the file's lines. Shapes are written as
-`[time, env, agent]`."""
+All of {{download}}`algos/{name}.py <../../algos/{name}.py>` from the networks to the training loop, with the numbers of
+the file's lines. Shapes are written as `[time, env, agent]`. What has the same text as on an earlier page is folded."""
 
 
 def fence(directive: str, argument: str, content: str = "") -> str:
@@ -102,17 +108,85 @@ def fence(directive: str, argument: str, content: str = "") -> str:
     return f"::::::{{{directive}}} {argument}\n{content}\n::::::"
 
 
-def groups(known: script.Script) -> list[list[int]]:
-    """The indices of the pieces that stand in one pair of columns: the head of a class goes with its first method."""
-    found: list[list[int]] = []
-    for i, piece in enumerate(known.pieces):
-        last = known.pieces[found[-1][0]] if found else None
-        joins = last and "." not in last.name and piece.name.startswith(f"{last.name}.") and len(found[-1]) == 1
-        if last and last.name and joins:
-            found[-1].append(i)
-        else:
-            found.append([i])
-    return found
+def facts(known: script.Script) -> str:
+    """The box at the head of a page: where the algorithm stands, and one command with what it costs and brings."""
+    own, name = known.facts, known.name
+    if own.replay:
+        learns = "off-policy: from a replay of old episodes, one gradient step after each new one"
+        acts = "drawn from its policy" if own.critic else "its best by value, or with probability epsilon any"
+    else:
+        steps = "several gradient steps" if own.epochs else "one gradient step"
+        learns = f"on-policy: {steps} on a batch of ten new episodes, which is then thrown away"
+        acts = "drawn from its policy"
+    rows = [["learns", learns]]
+    if own.critic:
+        rows.append(["its critic sees", f"in training {own.critic}; in play there is no critic"])
+    if own.mixed:
+        rows.append(["the team's value", f"what {own.mixed} makes of the agents' values"])
+    first, last = known.parts[0].first, known.parts[-1].last
+    rows += [
+        ["an agent sees", "its own observation; with `--network gru` what it saw before, too"],
+        ["action", acts],
+        ["parameters", "one network for all agents; with `--no-parameter-sharing` one for each"],
+        ["papers", ", ".join(paper.label for paper in papers.cited(known.docstring))],
+        ["file", f"`algos/{name}.py`: {len(known.lines)} lines, of which {last - first + 1} are on this page"],
+        ["try it", results_data.one_command(name)],
+    ]
+    table = results_data.tables.to_markdown(["", ""], rows)
+    return f":::::::{{container}} facts\n{table}\n\n{fence('data-flow', name)}\n:::::::"
+
+
+def idea(known: script.Script, remarks: Remarks) -> str:
+    """The script's docstring; the formulas, in LaTeX, in the place of those in plain text."""
+    text = known.docstring
+    _, _, text = plain_text.to_markdown(text).partition("\n\n")
+    for plain, latex in remarks.in_latex.items():
+        if plain_text.escape(plain) not in text:
+            raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
+        text = text.replace(plain_text.escape(plain), latex)
+    blocks = re.split(r"\n*```text\n(.*?)\n```\n*", text, flags=re.DOTALL)
+    before, after = blocks[0], "\n\n".join(blocks[2::2])
+    return "\n\n".join([before, ":::::{container} formulas", remarks.sections["Formulas"], ":::::", after])
+
+
+def contents(known: script.Script) -> str:
+    """Links to all functions of a page."""
+    rows = []
+    for section in known.sections:
+        names = [part.name for part in known.parts if part.section == section]
+        rows.append(f"* {section}: " + ", ".join(f"[`{name}`](#{target_name(known.name, name)})" for name in names))
+    return "\n".join(rows)
+
+
+def target_name(algorithm: str, part: str) -> str:
+    """The label of a function on its page."""
+    return f"{algorithm}-{part.lower().replace('_', '-')}"
+
+
+def shown(known: script.Script, part: script.Part, said: str) -> str:
+    """A function with its remarks; folded, with a link to them, where an earlier page has the same text."""
+    code = fence(
+        "literalinclude",
+        f"../../algos/{known.name}.py",
+        f":lines: {part.first}-{part.last}\n:lineno-match:\n:language: python",
+    )
+    label = f"({target_name(known.name, part.name)})="
+    earlier = first_page(known, part)
+    if said or earlier is None:
+        return "\n\n".join([label, f"#### `{part.name}`", code, said])
+    there = f"[{earlier.upper()}](#{target_name(earlier, part.name)})"
+    inside = f"What there is to say about it stands on the page of {there}.\n\n{code}"
+    return f"{label}\n:::::::{{dropdown}} `{part.name}`, as on the page of {earlier.upper()}\n{inside}\n:::::::"
+
+
+def first_page(known: script.Script, part: script.Part) -> str | None:
+    """The first algorithm, in the order of reading, whose script has a function with this text; None if it is this."""
+    text = known.text(part.first, part.last)
+    for name in script.ALGORITHMS[: script.ALGORITHMS.index(known.name)]:
+        other = script.read(name)
+        if any(text == other.text(each.first, each.last) for each in other.parts):
+            return name
+    return None
 
 
 def hyperparameters(known: script.Script) -> str:
@@ -124,121 +198,60 @@ def hyperparameters(known: script.Script) -> str:
         "[the benchmark paper](https://arxiv.org/abs/2006.07869) chose. All other flags are the same everywhere: "
         f"`python algos/{known.name}.py --help` lists them."
     ]
-    for sharing, title in (("shared", "With parameter sharing"), ("independent", "Without parameter sharing")):
-        rows = [f"| {title} | " + " | ".join(FAMILY_TITLES[family] for family in families) + " | what it is |"]
-        rows.append("|---" * (len(families) + 2) + "|")
+    for sharing, title in SHARINGS.items():
+        head = [title, *(FAMILY_TITLES[family] for family in families), "what it is"]
+        rows = []
         for i, flag in enumerate(names):
-            values = [f"{paper[family, sharing][i]}" for family in families]
-            rows.append(f"| `--{flag.replace('_', '-')}` | " + " | ".join(values) + f" | {known.flags[flag][1]} |")
-        parts.append("\n".join([":::{container} hyperparameters", *rows, ":::"]))
+            values = (f"{paper[family, sharing][i]}" for family in families)
+            rows.append([f"`--{flag.replace('_', '-')}`", *values, known.flags[flag][1]])
+        table = results_data.tables.to_markdown(head, rows)
+        parts.append(f":::{{container}} hyperparameters\n{table}\n:::")
     return "\n\n".join(parts)
 
 
-class Idea(SphinxDirective):
-    """The script's docstring; the formulas, in LaTeX, in the place of those in plain text. Argument: the script."""
+class DataFlow(SphinxDirective):
+    """The picture of who sees what in training and in play. Arguments: scripts."""
 
     required_arguments = 1
-    has_content = True
-
-    def run(self) -> list[nodes.Node]:
-        blocks = plain_text.parse(script.read(self.arguments[0]).docstring)
-        blocks = [block for block in blocks[1:] if not block.text.startswith("python algos/")]
-        formulas = [i for i, block in enumerate(blocks) if block.kind == "verbatim"]
-        found = plain_text.to_nodes(blocks)
-        if "".join(self.content).strip() and formulas:
-            before, after = plain_text.to_nodes(blocks[: formulas[0]]), plain_text.to_nodes(blocks[formulas[0] + 1 :])
-            latex = nodes.container("", *self.parse_content_to_nodes(), classes=["formulas"])
-            found = [*before, latex, *after]
-        return found
-
-
-class CodePair(SphinxDirective):
-    """Code beside its commentary. Arguments: a script, and the numbers of its pieces. Content: the remarks."""
-
-    required_arguments = 2
     final_argument_whitespace = True
-    has_content = True
 
     def run(self) -> list[nodes.Node]:
-        known = script.read(self.arguments[0])
-        pieces = [known.pieces[int(i)] for i in self.arguments[1].split()]
-        said = nodes.container("", classes=["said"])
-        for piece in pieces:
-            if piece.name and (piece.docstring or piece is pieces[0]):
-                name = nodes.literal("", piece.name)
-                said += nodes.paragraph("", "", name, classes=["name"], ids=[target_name(piece.name)])
-            said += plain_text.to_nodes(plain_text.parse(piece.docstring)) if piece.docstring else []
-        said += self.parse_content_to_nodes()
-        numbers = tuple(number for piece in pieces for number in piece.lines)
-        code = f'<div class="code highlight"><pre tabindex="0">{known.html_lines(numbers)}</pre></div>'
-        return [nodes.container("", said, nodes.raw("", code, format="html"), classes=["pair"])]
-
-
-def target_name(name: str) -> str:
-    """The id of a function on its page."""
-    return f"code-{name.replace('.', '-')}"
-
-
-class ScriptContents(SphinxDirective):
-    """Links to all functions of a page. Argument: the script."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        known = script.read(self.arguments[0])
-        rows = []
-        for section in known.sections:
-            names = [
-                piece.name
-                for piece in known.pieces
-                if piece.section == section and "." not in piece.name and piece.name
-            ]
-            links = ", ".join(f'<a href="#{target_name(name)}"><code>{name}</code></a>' for name in names)
-            rows.append(f"<li><span>{section}</span><div>{links}</div></li>")
-        return [nodes.raw("", f'<ul class="script-contents">{"".join(rows)}</ul>', format="html")]
+        drawn = "".join(data_flow.picture(script.read(name)) for name in self.arguments[0].split())
+        return [nodes.raw("", f'<div class="flows">{drawn}</div>', format="html")]
 
 
 class ScriptDiff(SphinxDirective):
-    """The coloured difference of two scripts, from networks to train, as `diff -b` finds it. Arguments: both names."""
+    """The difference of two scripts, from networks to train, as `diff -b` finds it. Arguments: both names."""
 
     required_arguments = 2
 
     def run(self) -> list[nodes.Node]:
         old, new = (script.read(name) for name in self.arguments)
+        for known in (old, new):
+            self.env.note_dependency(str(script.ROOT / "algos" / f"{known.name}.py"))
         command = f"diff -b algos/{old.name}.py algos/{new.name}.py"
-        text = (
-            f'<div class="diff highlight"><div class="title"><code>{command}</code>, '
-            f'from the networks to the training loop</div><pre tabindex="0">{diff(old, new)}</pre></div>'
-        )
-        return [nodes.raw("", text, format="html")]
+        title = [nodes.literal("", command), nodes.Text(", from the networks to the training loop")]
+        block = nodes.literal_block("", diff(old, new), language="diff")
+        return [nodes.container("", nodes.paragraph("", "", *title), block, classes=["diff"])]
 
 
-def diff(old: script.Script, new: script.Script, around: int = 1) -> str:
-    """What differs, in HTML: lines that go, lines that come, and so many lines around them."""
-    ours, theirs = all_lines(old), all_lines(new)
-    matcher = difflib.SequenceMatcher(
-        None,
-        [" ".join(old.lines[i - 1].split()) for i in ours],
-        [" ".join(new.lines[i - 1].split()) for i in theirs],
-        autojunk=False,
+def diff(old: script.Script, new: script.Script) -> str:
+    """Lines that go, lines that come, and one line around them; differences of indentation alone do not count."""
+    before, after = (
+        [line for first, last in known.sections.values() for line in known.lines[first - 1 : last]]
+        for known in (old, new)
     )
-    found = []
-    for number, group in enumerate(matcher.get_grouped_opcodes(around)):
-        if number:
-            found.append('<span class="skip">⋯</span>')
+    a, b = ([" ".join(line.split()) for line in lines] for lines in (before, after))
+    matcher = difflib.SequenceMatcher(None, a, b, autojunk=False)
+    found: list[str] = []
+    for group in matcher.get_grouped_opcodes(1):
+        found += ["@@"] * bool(found)
         for tag, a0, a1, b0, b1 in group:
             if tag == "equal":
-                found += [f'<span class="same">  {new.coloured[i - 1]}</span>' for i in theirs[b0:b1]]
-                continue
-            found += [f'<del><span aria-hidden="true">- </span>{old.coloured[i - 1]}</del>' for i in ours[a0:a1]]
-            found += [f'<ins><span aria-hidden="true">+ </span>{new.coloured[i - 1]}</ins>' for i in theirs[b0:b1]]
-    return "".join(found)
-
-
-def all_lines(known: script.Script) -> list[int]:
-    """The numbers of the lines that its page shows, with blank ones and docstrings."""
-    ends = [*known.sections.values()]
-    return [*range(ends[0][0], ends[-1][1] + 1)]
+                found += [f"  {line}" for line in after[b0:b1]]
+            else:
+                found += [f"- {line}" for line in before[a0:a1]] + [f"+ {line}" for line in after[b0:b1]]
+    return "\n".join(found)
 
 
 class RecordedRun(SphinxDirective):
@@ -248,21 +261,18 @@ class RecordedRun(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         algorithm, health = self.arguments
-        title = HEALTH_TITLES[health]
+        title = f"A {health} run"
         runs = pd.read_csv(DATA / "runs.csv", keep_default_na=False)
         run = runs[(runs["algorithm"] == algorithm) & (runs["health"] == health)].iloc[0]
-        self.env.note_dependency(str(DATA / "runs.csv"))
+        file = DATA / f"{algorithm}-{health}.csv"
+        for source in (DATA / "runs.csv", file):
+            self.env.note_dependency(str(source))
         command = f"python algos/{algorithm}.py --env lbf-8x8-2p-2f {run['flags']}"
         text = [nodes.strong("", f"{title}. "), nodes.Text(f"{run['ailment']} " if run["ailment"] else "")]
         head = nodes.paragraph("", "", *text, nodes.literal("", command), classes=["run-title"])
-        file = DATA / f"{algorithm}-{health}.csv"
-        if not file.exists():
-            return [head, nodes.paragraph("", "This run has not been recorded yet.")]
-        self.env.note_dependency(str(file))
-        table = pd.read_csv(file)
         figures = [
             charts.figure(charts.scalar(rows), f"<code>{tag}</code>", f"{tag} over timesteps, {title.lower()}")
-            for tag, rows in table.groupby("tag", sort=False)
+            for tag, rows in pd.read_csv(file).groupby("tag", sort=False)
             if tag not in UNTOLD and len(rows) > 1
         ]
         return [head, charts.grid(figures)]
@@ -271,62 +281,27 @@ class RecordedRun(SphinxDirective):
 UNTOLD = ("training/steps_per_second", "evaluation/return_std", "evaluation/episode_length")
 
 
-class AlgorithmCurves(SphinxDirective):
-    """An algorithm's learning curves on every task with results. Argument: the algorithm."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        found: list[nodes.Node] = [nodes.paragraph("", CURVES)]
-        for sharing, words in ((True, "With parameter sharing"), (False, "Without parameter sharing")):
-            figures = []
-            for task in results_data.paper_tasks():
-                chart = charts.learning_curves(task, sharing, [name])
-                if chart is not None:
-                    described = f"Learning curve of {name.upper()} on {task}, {words.lower()}"
-                    figures.append(charts.figure(chart, f"<code>{html.escape(task)}</code>", described))
-            if figures:
-                found += [nodes.rubric("", words), charts.grid(figures)]
-        return found
-
-
 CURVES = (
     "Evaluation returns, the mean over seeds with its interval 2 s / √n (no band: one seed). "
     "The dashed line is the paper's maximum return. Tasks that are not shown have not been measured yet."
 )
 
 
-class Commands(SphinxDirective):
-    """The commands that train, watch and measure. Argument: the algorithm."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        lines = [*commands(name)]
-        return [nodes.literal_block("", "\n".join(lines), language="bash")]
-
-
 def commands(name: str) -> list[str]:
     """Commands with an algorithm, and what they do."""
-    found = ["# train on a task of each family, with the paper's hyperparameters and budget"]
-    found += [f"python algos/{name}.py --env {task}" for task in EXAMPLES.values()]
-    found += [
+    task = EXAMPLES["lbf"]
+    return [
+        "# train on a task of each family, with the paper's hyperparameters and budget",
+        *(f"python algos/{name}.py --env {each}" for each in EXAMPLES.values()),
         "# without parameter sharing, with another seed",
-        f"python algos/{name}.py --env {EXAMPLES['lbf']} --no-parameter-sharing --seed 1",
-    ]
-    found += [
+        f"python algos/{name}.py --env {task} --no-parameter-sharing --seed 1",
         "# all flags, with their defaults for this task",
-        f"python algos/{name}.py --env {EXAMPLES['lbf']} --help",
-    ]
-    found += [
+        f"python algos/{name}.py --env {task} --help",
         "# play and film what was trained",
-        f"python algos/{name}.py --watch runs/{EXAMPLES['lbf']}/{name}-shared/seed0",
+        f"python algos/{name}.py --watch runs/{task}/{name}-shared/seed0",
+        "# its column in the paper's tables: what would run, and how many core hours it takes",
+        f"python benchmark/run.py --algorithms {name} --tasks all --seeds 5 --sharing both --dry-run",
     ]
-    found += ["# its column in the paper's tables: what would run, and how many core hours it takes"]
-    found += [f"python benchmark/run.py --algorithms {name} --tasks all --seeds 5 --sharing both --dry-run"]
-    return found
 
 
 class Line(SphinxRole):
@@ -338,7 +313,7 @@ class Line(SphinxRole):
             name, number = target(self.text, own if own in script.ALGORITHMS else None)
         except ValueError as error:
             return [], [self.inliner.reporter.error(str(error), line=self.lineno)]
-        uri = f"#L{number}"
+        uri = f"#L-{number}"
         if name != own:
             uri = self.env.app.builder.get_relative_uri(self.env.docname, f"algorithms/{name}") + uri
         return [nodes.reference("", f"line {number}", refuri=uri, internal=True, classes=["line-link"])], []
@@ -359,19 +334,24 @@ def write_page(app: Sphinx, docname: str, source: list[str]) -> None:
     folder, _, name = docname.partition("/")
     if folder == "algorithms" and name in script.ALGORITHMS:
         source[0] = page(name, source[0])
-        for file in (script.ROOT / "algos" / f"{name}.py", REMARKS / f"{COMMON}.md"):
-            app.env.note_dependency(str(file), docname=docname)
+        for earlier in script.ALGORITHMS[: script.ALGORITHMS.index(name) + 1]:
+            app.env.note_dependency(str(script.ROOT / "algos" / f"{earlier}.py"), docname=docname)
+
+
+def name_lines(app: Sphinx, document: nodes.document) -> None:
+    """Gives each line of a script on its own page an id, which an address can name."""
+    if app.env.docname.removeprefix("algorithms/") in script.ALGORITHMS:
+        for block in document.findall(nodes.literal_block):
+            if block.get("linenos"):
+                block["highlight_args"]["linespans"] = "L"
 
 
 def setup(app: Sphinx) -> dict:
     """Called by Sphinx."""
     app.connect("source-read", write_page)
+    app.connect("doctree-read", name_lines)
     app.add_role("line", Line())
-    app.add_directive("idea", Idea)
-    app.add_directive("code-pair", CodePair)
-    app.add_directive("script-contents", ScriptContents)
+    app.add_directive("data-flow", DataFlow)
     app.add_directive("script-diff", ScriptDiff)
     app.add_directive("recorded-run", RecordedRun)
-    app.add_directive("algorithm-curves", AlgorithmCurves)
-    app.add_directive("commands", Commands)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

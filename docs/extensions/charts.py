@@ -107,7 +107,7 @@ def curve(algorithm: str, table: pd.DataFrame) -> dict:
     return found
 
 
-def learning_curves(task: str, sharing: bool, algorithms: Iterable[str], legend: bool = False) -> dict | None:
+def learning_curves(task: str, sharing: str, algorithms: Iterable[str], legend: bool = False) -> dict | None:
     """A task's learning curves with their intervals and the paper's maximum returns; None where none is measured."""
     table = results_data.curves()
     table = table[(table["task"] == task) & (table["sharing"] == sharing)]

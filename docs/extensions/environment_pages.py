@@ -17,14 +17,6 @@ import envs
 from envs.tasks import PAPER_TASKS
 
 FILMS = script.ROOT / "docs" / "films"
-MODULE_OF = {  # an environment of each family, whose module's docstring has the rules
-    "matrix": "matrix-climbing",
-    "mpe": "mpe-spread",
-    "lbf": "lbf-8x8-2p-2f-c",
-    "rware": "rware-tiny-4p",
-    "smaclite": "smaclite-3s5z-sc2",
-    "foreign": "pettingzoo:any",
-}
 
 
 def tasks_of(family: str) -> list[str]:
@@ -32,27 +24,15 @@ def tasks_of(family: str) -> list[str]:
     return [task for task in PAPER_TASKS if task.startswith(family)]
 
 
-def rules_of(family: str) -> str:
-    """The docstring with the rules: of the module that plays the family, or of the package that it belongs to."""
-    module = importlib.import_module(module_name(MODULE_OF[family]))
-    package = importlib.import_module(module.__name__.rpartition(".")[0])
-    own = module.__doc__ or ""
-    return package.__doc__ or own if package.__name__.endswith(family) else own
-
-
-def module_name(task: str) -> str:
-    """The full name of the module that plays a task."""
-    name = envs.task(task).module
-    return name if name.startswith("envs.") else f"envs.{name}"
-
-
 class Rules(SphinxDirective):
-    """The docstring of a family, set as a page. Argument: the family."""
+    """The docstring of a module, set as a page. Argument: its full name."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        return plain_text.to_nodes(plain_text.parse(rules_of(self.arguments[0])))
+        module = importlib.import_module(self.arguments[0])
+        self.env.note_dependency(module.__file__ or "")
+        return self.parse_text_to_nodes(plain_text.to_markdown(module.__doc__ or ""))
 
 
 class ObservationBar(SphinxDirective):
@@ -99,16 +79,15 @@ class TasksTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        rows = [
-            "| task | agents | actions | observation | state | longest episode | on-policy steps | off-policy steps |",
-            "|---" * 8 + "|",
-        ]
+        sizes = ["agents", "actions", "observation", "state", "longest episode"]
+        head = ["task", *sizes, "on-policy steps", "off-policy steps"]
+        rows = []
         for name in tasks_of(self.arguments[0]):
             task, env = envs.task(name), envs.make(name)
-            sizes = (env.n_agents, env.n_actions, env.obs_size, env.state_size, env.episode_limit)
-            cells = [f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)]
-            rows.append(f"| `{name}` | " + " | ".join(cells) + " |")
-        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+            numbers = (env.n_agents, env.n_actions, env.obs_size, env.state_size, env.episode_limit)
+            budgets = (task.on_policy_timesteps, task.off_policy_timesteps)
+            rows.append([f"`{name}`", *(f"{number:,}" for number in (*numbers, *budgets))])
+        return wide_table(self, head, rows)
 
 
 class SpeedTable(SphinxDirective):
@@ -117,22 +96,21 @@ class SpeedTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        table = results_data.speeds()
-        table = table[
-            table["task"].map(
-                lambda task: task.startswith((self.arguments[0], "smac" if self.arguments[0] == "smaclite" else "-"))
-            )
+        family = self.arguments[0]
+        table = results_data.report().speeds
+        table = table[table["task"].str.startswith((family, "smac-") if family == "smaclite" else family)]
+        wide = table.pivot_table(index="task", columns="whose", values="steps_per_second")[[*table["whose"].unique()]]
+        rows = [
+            [f"`{task}`", *("" if pd.isna(speed) else f"{speed:,.0f}" for speed in wide.loc[task])]
+            for task in results_data.tables.in_order(pd.Series(wide.index))
         ]
-        if table.empty:
-            text = "Nothing has been timed yet."
-            return [nodes.paragraph(text, text)]
-        wide = table.pivot_table(index="task", columns="whose", values="steps_per_second")
-        columns = list(dict.fromkeys(table["whose"]))
-        rows = ["| steps per second | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for task in results_data.tables.in_order(pd.Series(wide.index)):
-            values = ["" if pd.isna(wide.loc[task, column]) else f"{wide.loc[task, column]:,.0f}" for column in columns]
-            rows.append(f"| `{task}` | " + " | ".join(values) + " |")
-        return [nodes.container("", *self.parse_text_to_nodes("\n".join(rows)), classes=["wide"])]
+        return wide_table(self, ["steps per second", *wide.columns], rows)
+
+
+def wide_table(directive: SphinxDirective, head: list[str], rows: list[list[str]]) -> list[nodes.Node]:
+    """A table of Markdown that may be wider than the page."""
+    table = directive.parse_text_to_nodes(results_data.tables.to_markdown(head, rows))
+    return [nodes.container("", *table, classes=["wide"])]
 
 
 def films() -> list[dict[str, str]]:
@@ -171,22 +149,19 @@ class Film(SphinxDirective):
 
 
 class Source(SphinxRole):
-    """{source}`envs/vector.py`: a link to the module on the page of reference, else the name alone."""
+    """{source}`envs/vector.py`: the file's name; a link to it where conf.py knows the address of the repository."""
 
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        name = self.text
-        if not (script.ROOT / name).exists():
-            return [], [self.inliner.reporter.error(f"there is no file {name}", line=self.lineno)]
-        code = nodes.literal("", name)
-        if not name.startswith("envs/") or not name.endswith(".py"):
-            return [code], []
-        module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        uri = self.env.app.builder.get_relative_uri(self.env.docname, "reference")
-        return [nodes.reference("", "", code, refuri=f"{uri}#module-{module}", internal=True)], []
+        if not (script.ROOT / self.text).exists():
+            return [], [self.inliner.reporter.error(f"there is no file {self.text}", line=self.lineno)]
+        code = nodes.literal("", self.text)
+        address = self.config.repository
+        return [nodes.reference("", "", code, refuri=f"{address}/blob/main/{self.text}") if address else code], []
 
 
 def setup(app: Sphinx) -> dict:
     """Called by Sphinx."""
+    app.add_config_value("repository", "", "env")
     app.add_role("source", Source())
     app.add_directive("rules", Rules)
     app.add_directive("observation-bar", ObservationBar)

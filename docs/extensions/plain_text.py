@@ -1,131 +1,116 @@
-"""Our docstrings are plain text, to be read in the script. Here they become paragraphs, lists and tables of a page.
+"""Our docstrings are plain text, to be read in the code. Here they become Markdown for the pages.
 
-A line that is indented belongs to a block of its own. It is set as it stands if it has columns or formulas, and as a
-list where it is prose. A line that begins with `name:`, or with a name and two spaces, begins a new paragraph.
+A line that is indented belongs to a block of its own: a table where it has two columns, a list where it is prose, and
+else it stays as it stands. A line that begins with `name:`, or with a name and two spaces, begins a new paragraph.
 """
 
 import inspect
 import re
-from typing import NamedTuple
 
-from docutils import nodes
-
-LEAD = re.compile(r"((?:[A-Z][\w ,+^.-]{0,50}|[a-z_][\w, -]{0,60})(?: \([^)]{1,60}\))?):(?= |$)")
-TERM = re.compile(r"(\S(?:.{0,40}?\S)?) {2,}(\S.*)$")  # a name and what it means, in two columns
+LEAD = re.compile(r"((?:[A-Z][\w ,+^.-]{0,50}|[a-z_][\w, -]{0,60})(?: \([^)]{1,60}\))?):(?= (?!and )|$)")
+TERM = re.compile(r"(\S(?:.{0,58}?\S)?) {2,}(\S.*)$")  # a name and what it means, in two columns
 CONTINUES = re.compile(r"[^.;:!?)]$")  # the line before ends in the middle of a sentence
-FLAG = r"(?<![\w`-])--[a-z][\w-]*"
-INLINE = re.compile(rf"`([^`]+)`|({FLAG})|arXiv:(\d{{4}}\.\d{{4,5}})|(https?://[^\s)]+)")
+GAP = re.compile(r"(?<=\S) {2,}(?=\S)")
+FORMULA = r"(?<![\w`{])(?:pi|mu|rho|[A-Za-z])(?:\*|')?_(?:old|-?[a-z](?:,[a-z](?:\+1)?)?)(?!\w)"
+INLINE = re.compile(
+    rf"(`[^`]+`)|(?<![\w`-])(--[a-z][\w-]*(?: gru)?)|({FORMULA})|arXiv:(\d{{4}}\.\d{{4,5}})|(https?://[^\s)]+)"
+)
 
 
-class Block(NamedTuple):
-    """kind: paragraph, item (of a list) or verbatim. lead: the name before a colon, or nothing."""
-
-    kind: str
-    text: str
-    lead: str = ""
-
-
-def parse(text: str) -> list[Block]:
-    """The blocks of a docstring. Its first sentence is never a name and what it means."""
-    found: list[Block] = []
-    for group in re.split(r"\n\s*\n", inspect.cleandoc(text)):
+def to_markdown(text: str) -> str:
+    """A docstring in Markdown. Its first sentence is never a name and what it means."""
+    found: list[str] = []
+    for number, group in enumerate(re.split(r"\n\s*\n", inspect.cleandoc(text))):
         lines = group.splitlines()
         while lines:
-            if term := TERM.match(lines[0]):
-                number = next((i for i, line in enumerate(lines) if i and not line.startswith(" " * 8)), len(lines))
-                found.append(Block("paragraph", " ".join([term[2], *map(str.strip, lines[1:number])]), term[1]))
-                lines = lines[number:]
-                continue
             inside = lines[0].startswith("  ")
-            ends = (i for i, line in enumerate(lines) if line.startswith("  ") != inside or (i and TERM.match(line)))
-            number = next(ends, len(lines))
-            found += indented(lines[:number]) if inside else paragraphs(lines[:number])
-            lines = lines[number:]
-    if found and found[0].lead[:1].isupper():
-        found[0] = Block("paragraph", f"{found[0].lead}: {found[0].text}")
-    return found
+            columns = not inside and TERM.match(lines[0]) is not None
+            end = 1
+            while end < len(lines) and belongs(lines[end], inside, columns):
+                end += 1
+            if columns or inside:
+                found.append(block(lines[:end]))
+            else:
+                found += paragraphs(lines[:end], first=number == 0)
+            lines = lines[end:]
+    return "\n\n".join(found)
 
 
-def paragraphs(lines: list[str]) -> list[Block]:
+def belongs(line: str, inside: bool, columns: bool) -> bool:
+    """Whether a line goes on with what is indented (inside), with two columns, or with prose."""
+    is_indented = line.startswith("  ")
+    return is_indented or TERM.match(line) is not None if columns else is_indented == inside
+
+
+def paragraphs(lines: list[str], first: bool) -> list[str]:
     """Lines of prose: a new paragraph before each name with a colon that stands at the beginning of a sentence."""
-    found: list[Block] = []
+    found: list[str] = []
     for i, line in enumerate(lines):
         starts = i == 0 or not CONTINUES.search(lines[i - 1])
-        lead = LEAD.match(line) if starts else None
+        lead = LEAD.match(line) if starts and not (first and i == 0 and line[:1].isupper()) else None
         if lead:
-            found.append(Block("paragraph", line[lead.end() :].strip(), lead[1]))
+            is_code = re.fullmatch(r"[a-z_]\w*(, [a-z_]\w*)*", lead[1])
+            title = f"`{lead[1]}`" if is_code else f"**{inline(lead[1])}**"
+            found.append(f"{title}:{inline(line[lead.end() :])}")
         elif i == 0 or (starts and line.startswith(("Returns ", "Raises "))):
-            found.append(Block("paragraph", line))
+            found.append(inline(line))
         else:
-            found[-1] = found[-1]._replace(text=f"{found[-1].text} {line}".strip())
+            found[-1] += "\n" + inline(line)
     return found
 
 
-def indented(lines: list[str]) -> list[Block]:
-    """Indented lines: as they stand where they have columns or formulas, else a list."""
-    text = inspect.cleandoc("\n".join(["", *lines]))
-    own = text.splitlines()
-    if any(re.search(r"\S {2,}\S", line) or " = " in line for line in own) or text.startswith("python "):
-        return [Block("verbatim", text)]
-    found: list[Block] = []
+def block(lines: list[str]) -> str:
+    """Indented lines: a table, a list, or text as it stands."""
+    own = inspect.cleandoc("\n".join(["", *lines])).splitlines()
+    gaps = [len(GAP.findall(line)) for line in own if not line.startswith(" ")]
+    if any(" = " in line for line in own) or own[0].startswith("python ") or max(gaps) > 2:
+        return "\n".join(["```text", *own, "```"])
+    if min(gaps) > 0:
+        rows: list[list[str]] = []
+        for line in own:
+            first, *others = re.split(" {2,}", line.strip())
+            if line.startswith("   "):  # goes on with the second column of the line before
+                rows[-1][1] += f" {first}"
+                rows[-1] += others
+            else:
+                rows.append([first, *others])
+        width = max(map(len, rows))
+        cells = [[name(first), *map(inline, others), *[""] * (width - 1 - len(others))] for first, *others in rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in [[""] * width, ["---"] * width, *cells])
+    found: list[str] = []
     for i, line in enumerate(own):
         if i == 0 or not CONTINUES.search(own[i - 1]):
-            found.append(Block("item", line.strip()))
+            found.append(f"* {inline(line.strip())}")
         else:
-            found[-1] = Block("item", f"{found[-1].text} {line.strip()}")
-    return found
+            found[-1] += f" {inline(line.strip())}"
+    return "\n".join(found)
 
 
-def inline(text: str) -> list[nodes.Node]:
-    """Text with its `code`, --flags, and links."""
-    found: list[nodes.Node] = []
-    position = 0
+def name(text: str) -> str:
+    """What stands in a table's first column: code, if it looks like it."""
+    return f"`{text}`".replace("|", "\\|") if re.search(r"[<_\[]", text) else inline(text)
+
+
+def inline(text: str) -> str:
+    """A line with its `code`, --flags, formulas and links; what Markdown would take for its own is escaped."""
+    found, position = [], 0
     for match in INLINE.finditer(text):
-        found.append(nodes.Text(text[position : match.start()]))
-        code, flag, paper, url = match.groups()
-        if code or flag:
-            found.append(nodes.literal("", code or flag, classes=["flag"] if flag else []))
-        else:
-            target = url or f"https://arxiv.org/abs/{paper}"
-            found.append(nodes.reference("", match[0], refuri=target))
+        found.append(escape(text[position : match.start()]))
+        code, flag, formula, paper, url = match.groups()
+        address = url or f"https://arxiv.org/abs/{paper}"
+        found.append(code or (flag and f"`{flag}`") or (formula and latex(formula)) or f"[{match[0]}]({address})")
         position = match.end()
-    return [*found, nodes.Text(text[position:])]
+    return "".join([*found, escape(text[position:])])
 
 
-def to_nodes(blocks: list[Block]) -> list[nodes.Node]:
-    """The blocks as nodes of docutils."""
-    found: list[nodes.Node] = []
-    for block in blocks:
-        content = inline(block.text)
-        if block.lead:
-            is_name = re.fullmatch(r"[a-z_]\w*(, [a-z_]\w*)*", block.lead)
-            lead = nodes.literal("", block.lead) if is_name else nodes.strong("", block.lead)
-            content = [lead, nodes.Text(": "), *content]
-        if block.kind == "verbatim":
-            found.append(nodes.literal_block("", block.text, language="text"))
-        elif block.kind == "item":
-            if not found or not isinstance(found[-1], nodes.bullet_list):
-                found.append(nodes.bullet_list("", bullet="*"))
-            found[-1] += nodes.list_item("", nodes.paragraph("", "", *content))
-        else:
-            found.append(nodes.paragraph("", "", *content))
-    return found
+def latex(formula: str) -> str:
+    """A letter with an index, such as pi_i,t, as a formula."""
+    letter, _, index = formula.partition("_")
+    letter = re.sub(r"(pi|mu|rho)", r"\\\1", letter).replace("*", "^*")
+    index = index.replace("old", r"\mathrm{old}")
+    return f"${letter}_{{{index}}}$"
 
 
-def to_restructured_text(blocks: list[Block]) -> list[str]:
-    """The blocks as lines that autodoc understands."""
-    lines: list[str] = []
-    for block in blocks:
-        if block.kind == "verbatim":
-            lines += [".. code-block:: text", "", *(f"    {line}" for line in block.text.splitlines()), ""]
-            continue
-        text = "".join(
-            f"``{node.astext()}``"
-            if isinstance(node, nodes.literal)
-            else re.sub(r"([\\*`_|<>])", r"\\\1", str(node.astext()))
-            for node in inline(block.text)
-        )
-        if block.lead:
-            text = f"**{block.lead}**: {text}"
-        lines += [f"* {text}" if block.kind == "item" else text, ""]
-    return lines
+def escape(text: str) -> str:
+    """Text in which Markdown finds nothing."""
+    return re.sub(r"([\\*_\[\]<$|])", r"\\\1", text)

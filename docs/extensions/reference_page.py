@@ -1,45 +1,40 @@
-"""The page of reference: every module of envs, by autodoc. Docstrings are plain text, so they are translated first."""
+"""The page of reference: a public name, its signature and its docstring, set like the docstrings of all pages."""
 
-import pkgutil
+import importlib
+import inspect
+import re
 
 import plain_text
+from docutils import nodes
 from sphinx.application import Sphinx
-
-import envs
-
-UNTOLD = ("__main__",)
-SECTION = """
-
-## `{name}`
-
-```{{eval-rst}}
-.. automodule:: {name}
-   :members:
-   :ignore-module-all:
-   :show-inheritance:
-```
-"""
+from sphinx.util.docutils import SphinxDirective
 
 
-def modules() -> list[str]:
-    """The names of all modules of envs, the package first."""
-    found = [info.name for info in pkgutil.walk_packages(envs.__path__, "envs.")]
-    return ["envs", *sorted(name for name in found if not name.endswith(UNTOLD))]
+class Public(SphinxDirective):
+    """A public name. Arguments: its full name, such as envs.make, and methods of it that are public, too."""
 
+    required_arguments = 1
+    final_argument_whitespace = True
 
-def write_modules(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Adds a section for each module."""
-    if docname == "reference":
-        source[0] += "".join(SECTION.format(name=name) for name in modules())
+    def run(self) -> list[nodes.Node]:
+        full, *methods = self.arguments[0].split()
+        module, _, name = full.rpartition(".")
+        thing = getattr(importlib.import_module(module), name)
+        found = self.entry(full, thing)
+        for method in methods:
+            found += self.entry(f"{name}.{method}", getattr(thing, method))
+        return found
 
-
-def translate(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Makes of a docstring in plain text what autodoc reads."""
-    lines[:] = plain_text.to_restructured_text(plain_text.parse("\n".join(lines)))
+    def entry(self, name: str, thing: object) -> list[nodes.Node]:
+        """Signature and docstring."""
+        signature = str(inspect.signature(thing)) if inspect.isroutine(thing) else ""
+        signature = re.sub(r"(: |-> )'([^']+)'", r"\1\2", signature)  # types without their quotes
+        head = nodes.literal("", f"{name}{signature}")
+        text = plain_text.to_markdown(inspect.getdoc(thing) or "")
+        return [nodes.paragraph("", "", head, classes=["signature"]), *self.parse_text_to_nodes(text)]
 
 
 def setup(app: Sphinx) -> dict:
     """Called by Sphinx."""
-    app.connect("source-read", write_modules)
-    app.connect("autodoc-process-docstring", translate)
+    app.add_directive("public", Public)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

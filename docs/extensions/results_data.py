@@ -2,26 +2,21 @@
 
 import json
 import shlex
-import sys
 from functools import lru_cache
 from pathlib import Path
 
 import pandas as pd
 
+from benchmark import measures, store, tables
+from benchmark.plots import COLOURS
+from benchmark.report import Report
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmark"))
-
-from report import Report  # noqa: E402
-from reporting import results, tables  # noqa: E402
-from reporting.plots import COLOURS  # noqa: E402
-
-ALGORITHMS = results.ALGORITHMS
-FAMILIES = results.PAPER_FAMILIES
-FIGURES = ROOT / "benchmark" / "figures"
-RESULTS = results.RESULTS
+ALGORITHMS = store.ALGORITHMS
+FAMILIES = store.PAPER_FAMILIES
+RESULTS = store.RESULTS
 OTHER_COLOUR = "#666666"
 TITLES = tables.TITLES
-SHARING = {"shared": True, "independent": False}
 
 
 @lru_cache
@@ -35,11 +30,6 @@ def paper_tasks() -> list[str]:
     from envs.tasks import PAPER_TASKS
 
     return tables.in_order(pd.Series(PAPER_TASKS))
-
-
-def family(task: str) -> str:
-    """The paper's family of a task."""
-    return results.family(task)
 
 
 def colour(algorithm: str) -> str:
@@ -61,7 +51,12 @@ def curves() -> pd.DataFrame:
         deviation=("return_mean", "std"),
         seeds=("return_mean", "count"),
     )
-    return table.assign(interval=results.interval(table["deviation"], table["seeds"])).reset_index()
+    return table.assign(interval=measures.interval(table["deviation"], table["seeds"])).reset_index()
+
+
+def seeds() -> pd.Series:
+    """How many seeds there are, by task, algorithm and sharing."""
+    return curves().groupby(["task", "algorithm", "sharing"])["seeds"].max()
 
 
 def cells(metric: str) -> pd.DataFrame:
@@ -71,24 +66,17 @@ def cells(metric: str) -> pd.DataFrame:
 
 
 @lru_cache
-def paper_values(metric: str) -> dict[tuple[str, str, bool], tuple[float, float]]:
+def paper_values(metric: str) -> dict[tuple[str, str, str], tuple[float, float]]:
     """The paper's mean and interval by our task, algorithm and sharing."""
     table = report().paper
     chosen = table[table["metric"] == metric]
     known = {(row.task, row.algorithm, row.sharing): (row.mean, row.interval) for row in chosen.itertuples()}
-    ours = {results.paper_task(task): task for task in paper_tasks()}
+    ours = {store.paper_task(task): task for task in paper_tasks()}
     return {(ours[task], *key): value for (task, *key), value in known.items() if task in ours}
 
 
-def marks(algorithm: str, task: str, sharing: bool, metric: str) -> str:
-    """The signs of the tables' legend that belong to a cell of ours."""
-    chosen = cells(metric)
-    chosen = chosen[(chosen["algorithm"] == algorithm) & (chosen["task"] == task) & (chosen["sharing"] == sharing)]
-    return "".join(tables.signs(cell) for cell in chosen.itertuples())
-
-
 @lru_cache
-def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
+def tables_of_results() -> dict[tuple[str, str, str], tuple[Path, dict]]:
     """The table behind each cell: its path without the suffix, and the flags that differ from the paper's."""
     shown = report().shown
     found = {}
@@ -96,24 +84,20 @@ def tables_of_results() -> dict[tuple[str, str, bool], tuple[Path, dict]]:
         shown[["task", "algorithm", "sharing", "setting"]].drop_duplicates().itertuples(index=False, name=None)
     ):
         changed = json.loads(setting)
-        found[task, algorithm, sharing] = results.table_path(RESULTS, algorithm, task, sharing, changed), changed
+        path = store.table_path(RESULTS, algorithm, task, sharing, changed)
+        found[task, algorithm, sharing] = path, changed
     return found
 
 
-def campaign(algorithm: str, task: str, sharing: bool, changed: dict, seeds: int) -> str:
+def campaign(algorithm: str, task: str, sharing: str, changed: dict, seeds: int) -> str:
     """The command that makes a cell."""
     words = [f"python benchmark/run.py --algorithms {algorithm} --tasks {task} --seeds {seeds}"]
-    if not sharing:
-        words.append("--sharing independent")
+    if sharing != store.SHARED:
+        words.append(f"--sharing {sharing}")
     if changed:
         words.append("--")
         words += [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in sorted(changed.items())]
     return " ".join(words)
-
-
-def number(mean: float, interval: float) -> str:
-    """A mean and its interval as text."""
-    return tables.number(mean, interval)
 
 
 @lru_cache
@@ -126,6 +110,15 @@ def verdicts() -> list[tuple[str, str, str, str, str, str]]:
     ]
 
 
-def speeds() -> pd.DataFrame:
-    """Steps per second: task, family, whose, steps_per_second."""
-    return report().speeds
+def one_command(algorithm: str) -> str:
+    """The shortest of the paper's trainings, what it returned at its end, and its time."""
+    task = "matrix-climbing"
+    table = report().shown
+    table = table[(table["task"] == task) & (table["algorithm"] == algorithm) & (table["sharing"] == store.SHARED)]
+    last = table[table["point"] == table["point"].max()]
+    minutes = last["cpu_seconds"] / 60
+    return (
+        f"`python algos/{algorithm}.py --env {task}`: {last['return_mean'].mean():.0f} at the end, the mean of "
+        f"{len(last)} seeds (275 is the most that the game gives); {last['timestep'].mean() / 1e6:g} million steps in "
+        f"{minutes.min():.1f} to {minutes.max():.1f} minutes of one CPU core"
+    )

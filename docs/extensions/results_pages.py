@@ -16,7 +16,7 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-WORDS = {True: "with parameter sharing", False: "without parameter sharing"}
+WORDS = {"shared": "with parameter sharing", "independent": "without parameter sharing"}
 FILMS = script.ROOT / "docs" / "films"
 
 
@@ -30,33 +30,33 @@ def algorithms() -> list[str]:
     return [*results_data.ALGORITHMS]
 
 
-def sharing(argument: str) -> bool:
+def sharing(argument: str) -> str:
     """An option's value: shared or independent."""
-    return results_data.SHARING[directives.choice(argument, tuple(results_data.SHARING))]
+    return directives.choice(argument, tuple(WORDS))
 
 
-def text_of_cell(cell: Any, anchor: str, root: str) -> str:
-    """Our value, as a link to its CSV and one to its command, with the paper's below."""
-    signs = results_data.tables.signs(cell).strip()
-    number = results_data.number(cell.value, cell.interval)
-    path, _ = results_data.tables_of_results()[cell.task, cell.algorithm, cell.sharing]
+def text_of_cell(cell: Any, name: str, root: str) -> str:
+    """Our value, as a link to its CSV, and a button that shows the command behind it, with the paper's value below."""
+    value, signs = results_data.tables.number(cell.value, cell.interval), results_data.tables.signs(cell).strip()
+    path, changed = results_data.tables_of_results()[cell.task, cell.algorithm, cell.sharing]
+    file = f"{root}results/{path.parent.name}/{path.name}"
+    seeds = int(results_data.seeds()[cell.task, cell.algorithm, cell.sharing])
+    command = html.escape(results_data.campaign(cell.algorithm, cell.task, cell.sharing, changed, seeds))
     best = ' class="best"' if cell.mark == "best" else ""
-    ours = f'<a{best} href="{root}{csv_name(path)}">{number}</a>{signs}'
-    command = f'<a class="command" href="{anchor}">$</a>'
     theirs = ""
     if not pd.isna(cell.paper_mean):
-        theirs = f'<span class="paper">{results_data.number(cell.paper_mean, cell.paper_interval)}</span>'
-    return f"{ours} {command}{theirs}"
+        theirs = f'<span class="paper">{results_data.tables.number(cell.paper_mean, cell.paper_interval)}</span>'
+    return (
+        f'<a{best} href="{file}.csv">{value}</a>{signs} '
+        f'<button class="command" popovertarget="{name}">$</button>{theirs}'
+        f'<div class="behind" popover id="{name}"><code>{command}</code><br><a href="{file}.csv">CSV</a>, '
+        f'<a href="{file}.json">JSON</a></div>'
+    )
 
 
-def csv_name(path: Path) -> str:
-    """Where a table of results lies in the site."""
-    return f"results/{path.parent.name}/{path.name}.csv"
-
-
-def cell_name(task: str, algorithm: str, shared: bool) -> str:
-    """The id of a cell's command on the page of data."""
-    return f"{task}-{algorithm}-{'shared' if shared else 'independent'}"
+def cell_name(task: str, algorithm: str, shared: str) -> str:
+    """The id of a cell of the tables of maximum returns."""
+    return f"{task}-{algorithm}-{shared}"
 
 
 class Directive(SphinxDirective):
@@ -66,7 +66,7 @@ class Directive(SphinxDirective):
         """The way from this page to the site's first folder."""
         return "../" * self.env.docname.count("/")
 
-    def table(self, metric: str, shared: bool) -> str:
+    def table(self, metric: str, shared: str) -> str:
         """One of the paper's tables in HTML, sortable by each column; nothing where we have no result for it."""
         cells = results_data.cells(metric)
         cells = cells[cells["sharing"] == shared].rename(columns={"mean": "value"})
@@ -79,8 +79,9 @@ class Directive(SphinxDirective):
                 if cell is None:
                     columns.append("<td></td>")
                     continue
-                anchor = f"{self.root()}results.html#{cell_name(task, name, shared)}"
-                columns.append(f'<td data-value="{cell.value:.6g}">{text_of_cell(cell, anchor, self.root())}</td>')
+                own = f'id="{cell_name(task, name, shared)}" ' if metric == "max_return" else ""
+                text = text_of_cell(cell, f"{metric}-{cell_name(task, name, shared)}", self.root())
+                columns.append(f'<td {own}data-value="{cell.value:.6g}">{text}</td>')
             rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
         if not rows:
             return ""
@@ -99,12 +100,12 @@ class Curves(Directive):
     option_spec = {"sharing": sharing, "algorithms": directives.unchanged}  # noqa: RUF012
 
     def run(self) -> list[nodes.Node]:
-        shared = self.options.get("sharing", True)
+        shared = self.options.get("sharing", "shared")
         names = self.options.get("algorithms", " ".join(algorithms())).split()
         found: list[str] = []
         missing: list[str] = []
         for task in self.arguments[0].split():
-            chart = charts.learning_curves(task, shared, names, legend=True)
+            chart = charts.learning_curves(task, shared, names, legend=len(names) > 1)
             if chart is None:
                 missing.append(task)
                 continue
@@ -159,21 +160,20 @@ class SeedsMap(Directive):
     """Which of the paper's cells are measured, with how many seeds: tasks, algorithms, with and without sharing."""
 
     def run(self) -> list[nodes.Node]:
-        curves = results_data.curves()
-        last = curves.groupby(["task", "algorithm", "sharing"])["seeds"].max()
+        last = results_data.seeds()
         rows = []
         for task in results_data.paper_tasks():
             columns = []
             for name in algorithms():
                 halves = ""
-                for shared, word in ((True, "with sharing"), (False, "without")):
+                for shared, word in (("shared", "with sharing"), ("independent", "without")):
                     seeds = int(last.get((task, name, shared), 0))
                     other = seeds and results_data.tables_of_results()[task, name, shared][1]
                     mark = "†" if other else ""
                     title = f"{name.upper()}, {task}, {word}: {seeds} seeds{', another budget' if other else ''}"
                     content = f"{seeds}{mark}" if seeds else "·"
                     if seeds:
-                        link = f"{self.root()}results.html#{cell_name(task, name, shared)}"
+                        link = f"{self.root()}tables.html#{cell_name(task, name, shared)}"
                         content = f'<a href="{link}">{content}</a>'
                     attributes = f'class="seeds" data-seeds="{min(seeds, 5)}" title="{html.escape(title)}"'
                     halves += f"<span {attributes}>{content}</span>"
@@ -193,34 +193,6 @@ class SeedsMap(Directive):
         return [nodes.paragraph(text, text), raw(table)]
 
 
-class DataList(Directive):
-    """Every measured cell with its CSV and the command that makes it."""
-
-    def run(self) -> list[nodes.Node]:
-        found: list[nodes.Node] = []
-        seeds = results_data.curves().groupby(["task", "algorithm", "sharing"])["seeds"].max()
-        by_task: dict[str, list] = {}
-        for (task, name, shared), (path, changed) in results_data.tables_of_results().items():
-            by_task.setdefault(task, []).append((name, shared, path, changed, int(seeds[task, name, shared])))
-        for task in results_data.tables.in_order(pd.Series([*by_task])):
-            rows = []
-            for name, shared, path, changed, number in sorted(
-                by_task[task],
-                key=lambda row: (not row[1], algorithms().index(row[0]) if row[0] in algorithms() else 99),
-            ):
-                command = results_data.campaign(name, task, shared, changed, number)
-                kind = "shared" if shared else "independent"
-                rows.append(
-                    f'<tr id="{cell_name(task, name, shared)}"><td>{name.upper()}, {kind}</td>'
-                    f'<td><a href="{csv_name(path)}">CSV</a>, <a href="{csv_name(path)[:-3]}json">JSON</a></td>'
-                    f"<td><code>{html.escape(command)}</code></td></tr>"
-                )
-            section = nodes.section("", nodes.title("", "", nodes.literal("", task)), ids=[f"data-{task}"])
-            section += raw(f'<div class="wide"><table class="data"><tbody>{"".join(rows)}</tbody></table></div>')
-            found.append(section)
-        return found
-
-
 class ReportText(Directive):
     """A sentence or a table that report.py writes, by the directive's name."""
 
@@ -231,9 +203,6 @@ class ReportText(Directive):
             "agreement-by-family": report.agreement_table,
             "disagreements": report.differences,
             "cpu-hours": lambda: f"{report.cpu_table()}\n\n{report.cpu_sentence()}",
-            "speeds": report.speed_table,
-            "legend": lambda: results_data.tables.LEGEND,
-            "across-tasks": lambda: across(report),
         }[self.name]()
         found = self.parse_text_to_nodes(text)
         return [
@@ -241,59 +210,17 @@ class ReportText(Directive):
         ]
 
 
-def across(report: results_data.Report) -> str:
-    """Interquartile means and probabilities of improvement, in Markdown."""
-    parts = []
-    for shared, words in WORDS.items():
-        for title, table in (
-            ("Interquartile means", report.interquartile_means(shared)),
-            ("Probabilities of improvement", report.improvements(shared)),
-        ):
-            if table:
-                parts += [f"**{title}, {words}**", table]
-    return "\n\n".join(parts)
-
-
-class FigureOfReport(Directive):
-    """A figure of benchmark/figures. Argument: its name. Content: its caption."""
-
-    required_arguments = 1
-    has_content = True
-
-    def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        file = results_data.FIGURES / f"{name}.png"
-        if not file.exists():
-            text = f"The figure {name} cannot be drawn yet: its results are missing."
-            return [nodes.paragraph(text, text)]
-        uri = f"/../benchmark/figures/{name}.png"
-        image = nodes.image("", uri=uri, alt=name, classes=["report"])
-        figure = nodes.figure("", image)
-        if caption := " ".join(self.content).strip():
-            figure += nodes.caption("", "", *self.parse_inline(caption)[0])
-        return [figure]
-
-
-class Explorer(Directive):
-    """Where static/explorer.js draws."""
-
-    def run(self) -> list[nodes.Node]:
-        return [raw('<div id="explorer"><noscript>The explorer needs JavaScript.</noscript></div>')]
-
-
 def write_data(static: Path) -> None:
     """The kinds of charts, and what static/explorer.js shows: all tasks and algorithms, and a file for each task."""
     curves = results_data.curves()
     tasks = results_data.tables.in_order(curves["task"])
-    families = {task: results_data.FAMILIES.get(results_data.family(task), "Other tasks") for task in tasks}
+    families = {task: results_data.FAMILIES.get(results_data.store.family(task), "Other tasks") for task in tasks}
     write_script(static / "chart-kinds.js", "window.chartKinds", charts.kinds())
     overview = {"families": families, "algorithms": algorithms()}
     write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
     (static / "explorer").mkdir(exist_ok=True)
     for task in tasks:
-        shown = {
-            name: charts.learning_curves(task, value, algorithms()) for name, value in results_data.SHARING.items()
-        }
+        shown = {sharing: charts.learning_curves(task, sharing, algorithms()) for sharing in WORDS}
         write_script(static / "explorer" / f"{task}.js", f"window.explorerTasks[{json.dumps(task)}]", shown)
 
 
@@ -331,10 +258,7 @@ def setup(app: Sphinx) -> dict:
     app.add_directive("results-table", ResultsTable)
     app.add_directive("claims", Claims)
     app.add_directive("seeds-map", SeedsMap)
-    app.add_directive("data-list", DataList)
-    app.add_directive("figure-of-report", FigureOfReport)
-    app.add_directive("explorer", Explorer)
-    for name in ("agreement", "agreement-by-family", "disagreements", "cpu-hours", "speeds", "legend", "across-tasks"):
+    for name in ("agreement", "agreement-by-family", "disagreements", "cpu-hours"):
         app.add_directive(name, ReportText)
     app.connect("html-page-context", add_explorer)
     app.connect("build-finished", write_files)

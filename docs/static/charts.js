@@ -53,7 +53,19 @@
     for (const { encoding } of specification.layer) {
       encoding.color.scale = { domain: Object.keys(chart.colours), range: Object.values(chart.colours) };
     }
+    hideFarStart(specification, chart);
     return { ...specification, datasets: { curves, paper: chart.paper } };
+  };
+
+  // Where the evaluations before training lie far below all others, the axis begins above them: else all lines are flat.
+  const hideFarStart = (specification, { curves, paper }) => {
+    const later = [...curves.flatMap(({ m }) => m.slice(1)), ...paper.map(({ p }) => p)];
+    const [low, high] = [Math.min(...later), Math.max(...later)];
+    if (Math.min(...curves.map(({ m }) => m[0])) > low - 2 * (high - low)) return;
+    for (const layer of specification.layer) {
+      layer.mark = { ...(layer.mark.type ? layer.mark : { type: layer.mark }), clip: true };
+      layer.encoding.y.scale = { ...layer.encoding.y.scale, domainMin: low - 0.1 * (high - low) };
+    }
   };
 
   // Draws a chart into an element. adapt: changes its specification before.

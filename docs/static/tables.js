@@ -22,3 +22,9 @@ document.querySelectorAll("table.sortable").forEach((table) => {
     });
   });
 });
+
+// Marks what is wider than its window, so that site.css can say it.
+const sizes = new ResizeObserver((entries) => {
+  for (const { target } of entries) target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1);
+});
+document.querySelectorAll(".wide, .table-wrapper, .formula").forEach((element) => sizes.observe(element));

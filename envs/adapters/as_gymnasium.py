@@ -6,8 +6,11 @@
     gymnasium.make_vec("marl/lbf-8x8-2p-2f-c", num_envs=8, seed=1)      every task of the paper has an id
     gymnasium.make_vec("marl/task", num_envs=8, task="lbf-5x5-2p-1f")   this is the id of all other tasks
 
-The contract of `envs.vector` holds, except that finished sub-environments begin their next episode by themselves. The
-option autoreset_mode, one of `gymnasium.vector.AutoresetMode` or its value, says when:
+One environment by itself, `gymnasium.make("marl/lbf-8x8-2p-2f-c")`, has the form of lbforaging's and rware's; see
+`envs.adapters.as_tuples`.
+
+In a vector the contract of `envs.vector` holds, except that finished sub-environments begin their next episode by
+themselves. The option autoreset_mode, one of `gymnasium.vector.AutoresetMode` or its value, says when:
 
     NEXT_STEP   In the next step. That step belongs to no episode: the actions are ignored, even forbidden ones, the
                 reward is 0, the flags are down and the observation is the first one of the new episode. A learner must
@@ -34,7 +37,7 @@ from numpy.typing import NDArray
 
 import envs
 from envs.tasks import task_names
-from envs.vector import Info, InputError, VectorEnv
+from envs.vector import Info, InputError, VectorEnv, fresh_seed
 
 FRAMES_PER_SECOND = 5  # of videos, as in the films of `envs.render`
 
@@ -44,38 +47,85 @@ def register() -> None:
     ids: dict[str, dict[str, Any]] = {f"marl/{name}": {"task": name} for name in task_names()}
     for id, settings in (ids | {"marl/task": {}}).items():
         if id not in gymnasium.registry:
-            gymnasium.register(id, vector_entry_point="envs.adapters.as_gymnasium:make_vec", kwargs=settings)
+            gymnasium.register(
+                id,
+                entry_point="envs.adapters.as_tuples:TupleEnv",
+                vector_entry_point="envs.adapters.as_gymnasium:make_vec",
+                disable_env_checker=True,  # which knows no rewards of several agents
+                kwargs=settings,
+            )
 
 
 def make_vec(
     num_envs: int,
     *,
     task: str,
-    seed: int = 0,
+    seed: int | None = None,
     env_kwargs: str | Mapping[str, Any] = "",
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     render_mode: str | None = None,
 ) -> Autoreset:
     """What `gymnasium.make_vec` calls.
 
-    task, num_envs, seed, env_kwargs: as in `envs.make`. A later reset(seed=...) takes the place of the seed.
+    task, num_envs, seed, env_kwargs: as in `envs.make`. Without a seed, one is drawn that nobody has chosen. A later
+    reset(seed=...) takes the place of the seed.
     autoreset_mode, render_mode: see the module's docstring.
     Raises what `envs.make` raises, and InputError for an unknown mode.
     """
     modes = [mode.value for mode in AutoresetMode]
     if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
         raise InputError(f"autoreset_mode is {autoreset_mode!r}; the modes are {', '.join(modes)}.")
+    seed = fresh_seed() if seed is None else seed
     env = envs.make(task, num_envs, seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
     return Autoreset(env, AutoresetMode(autoreset_mode), render_mode)
 
 
-def rendering(env: VectorEnv, render_mode: str | None) -> dict[str, Any]:
-    """What an environment's metadata say about its pictures. Raises InputError for a mode that it does not have."""
-    if render_mode not in (None, "rgb_array"):
-        raise InputError(f"render_mode is {render_mode!r}; it must be 'rgb_array' or None.")
+def rendering(env: VectorEnv, render_mode: str | None, human: bool = False) -> dict[str, Any]:
+    """What an environment's metadata say about its pictures.
+
+    human: whether it can also show them in a window, where there is a display.
+    Raises InputError for a mode that does not exist, and where the environment cannot draw.
+    """
+    modes = ["rgb_array", "human"] if human else ["rgb_array"]
+    if render_mode not in (None, *modes):
+        raise InputError(f"render_mode is {render_mode!r}; it must be {', '.join(map(repr, modes))} or None.")
     if render_mode and not env.can_draw:
         raise InputError(f"{env.name} has no pictures, so it cannot be rendered.")
-    return {"render_modes": ["rgb_array"] if env.can_draw else [], "render_fps": FRAMES_PER_SECOND}
+    if render_mode == "human" and not has_display():
+        modes.remove("human")
+    return {"render_modes": modes if env.can_draw else [], "render_fps": FRAMES_PER_SECOND}
+
+
+def has_display() -> bool:
+    """Whether matplotlib can open windows here."""
+    import matplotlib
+    from matplotlib.backends import BackendFilter, backend_registry
+
+    return matplotlib.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE)
+
+
+class Window:
+    """Shows frames in a window of matplotlib."""
+
+    def __init__(self, title: str) -> None:
+        from matplotlib import pyplot
+
+        self.pyplot = pyplot
+        self.figure = pyplot.figure(title)
+        self.image: Any = None
+
+    def show(self, frame: NDArray[np.uint8]) -> None:
+        """Show a frame, uint8 [height, width, 3], for as long as it is seen in a film."""
+        if self.image is None:
+            axes = self.figure.add_axes((0, 0, 1, 1))
+            axes.set_axis_off()
+            self.image = axes.imshow(frame)
+        self.image.set_data(frame)
+        self.pyplot.pause(1 / FRAMES_PER_SECOND)
+
+    def close(self) -> None:
+        """Close the window."""
+        self.pyplot.close(self.figure)
 
 
 class Autoreset(VectorWrapper):

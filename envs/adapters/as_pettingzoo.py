@@ -1,6 +1,6 @@
 """A task as a PettingZoo environment, for libraries that train on those.
 
-    env = envs.pettingzoo_env("lbf-8x8-2p-2f-c", seed=1)
+    env = envs.pettingzoo_env("lbf-8x8-2p-2f-c")
     observations, infos = env.reset()
     while env.agents:
         actions = {agent: env.action_space(agent).sample(infos[agent]["action_mask"]) for agent in env.agents}
@@ -18,11 +18,17 @@
 All agents play until the episode ends, which it does for all of them at once. An agent that is out of the game earlier,
 such as a dead unit, observes zeros, and its mask allows action 0 only.
 
-Copies that train side by side need different seeds: with the same one they play the same episodes.
+Agents are called agent_0, agent_1, ... where they are equal. Otherwise their names tell the kind, speaker_0 and
+listener_0, or the side, as in mpe-tag-selfplay: adversary_0, adversary_1, adversary_2 and agent_0.
+
+Seeds are as Gymnasium has them. Without a seed, the first `reset()` draws one that nobody has chosen, so that copies
+play different episodes, also those that a library makes by pickling an environment. A later `reset()` goes on with the
+next episode, and reset(seed=...) begins the episodes of that seed.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +39,8 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 import envs
-from envs.adapters.as_gymnasium import rendering
+from envs.adapters.as_gymnasium import Window, rendering
+from envs.vector import fresh_seed
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -43,15 +50,29 @@ class PettingZooEnv(ParallelEnv):
     """One sub-environment of a task; see the module's docstring."""
 
     def __init__(
-        self, name: str, seed: int, render_mode: str | None, strict: bool, env_kwargs: str | Mapping[str, Any]
+        self,
+        name: str,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        strict: bool = False,
+        env_kwargs: str | Mapping[str, Any] = "",
     ) -> None:
         """See `envs.pettingzoo_env`."""
-        self.env = envs.make(name, seed=seed, env_kwargs=env_kwargs, pictures=render_mode is not None)
-        self.metadata = {"name": name, "is_parallelizable": True, **rendering(self.env, render_mode)}
+        self.unseeded = seed is None  # until the first reset, before which SuperSuit, for one, pickles copies
+        self.env = envs.make(name, seed=seed or 0, env_kwargs=env_kwargs, pictures=render_mode is not None)
+        modes = rendering(self.env, render_mode, human=True)
+        self.metadata = {"name": name, "is_parallelizable": True, **modes}
+        self.window: Window | None = None
+        if render_mode == "human" and "human" in modes["render_modes"]:
+            self.window = Window(name)
+        elif render_mode == "human":
+            warnings.warn(f"{name}: there is no display here, so `render` returns arrays (rgb_array).", stacklevel=3)
+            render_mode = "rgb_array"
         self.render_mode = render_mode
+        self.np_random = np.random.default_rng(seed)  # for wrappers; the game draws from generators of its own
         self.strict = strict
         self.agents: list[str] = []
-        self.possible_agents = [f"agent_{i}" for i in range(self.env.n_agents)]
+        self.possible_agents = list(self.env.agent_names)
         self.teams = dict(zip(self.possible_agents, self.env.teams))
         bounds = self.env.single_observation_space
         assert isinstance(bounds, Box)
@@ -72,8 +93,14 @@ class PettingZooEnv(ParallelEnv):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Begin the next episode, or with a seed the first one of that seed. There are no options."""
+        if self.unseeded and seed is None:
+            seed = fresh_seed()
+        if seed is not None:
+            self.unseeded = False
+            self.np_random = np.random.default_rng(seed)
         observations, _ = self.env.reset(seed=seed)
         self.agents = self.possible_agents.copy()
+        self._show()
         return dict(zip(self.agents, observations[0])), self._infos()
 
     def step(
@@ -88,6 +115,7 @@ class PettingZooEnv(ParallelEnv):
             raise ResetNeeded(f"{self.env.name}: call reset() before step().")
         chosen = [self._action(i, actions) for i in range(len(self.agents))]
         observations, _, terminated, truncated, info = self.env.step([chosen])
+        self._show()
         agents, infos = self.agents, self._infos()
         if terminated[0] or truncated[0]:
             self.agents = []
@@ -122,9 +150,18 @@ class PettingZooEnv(ParallelEnv):
         return self.env.state[0].copy()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A frame, uint8 [height, width, 3]; None without a render mode, as PettingZoo wants it."""
-        return self.env.frame() if self.render_mode else None
+        """A frame, uint8 [height, width, 3], with the mode rgb_array; else None, as PettingZoo wants it.
+
+        With the mode human, `reset` and `step` show the frames in a window by themselves.
+        """
+        return self.env.frame() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.window:
+            self.window.show(self.env.frame())
 
     def close(self) -> None:
-        """End what the environment has started, such as StarCraft."""
+        """End what the environment has started, such as a window or StarCraft."""
+        if self.window:
+            self.window.close()
         self.env.close()

@@ -4,19 +4,27 @@
     gymnasium:<id>           such as gymnasium:lbforaging:Foraging-8x8-2p-3f-v3
 
 Modules are looked for among the installed ones and in the current folder. The environment is built with the keyword
-arguments `env_kwargs`. Actions must be discrete and observations vectors; images become vectors only with
-`flatten_images`. In Gymnasium a tuple of action spaces means several agents, and a single one means one agent.
+arguments `env_kwargs`. Actions must be discrete. In Gymnasium a tuple of action spaces means several agents, and a
+single one means one agent.
+
+Observations are vectors. A table of numbers, such as 27 entities of 5 values, is laid out as one. Images become vectors
+only with `flatten_images`: arrays of three and more dimensions, and those of bytes with two. Images of bytes from 0 to
+255 are divided by 255, since networks learn little from large numbers. Other numbers stay as they are.
 
 What the contract in `envs.vector` asks for is made as follows:
 
     observations   padded at the end with zeros to the largest agent. Zeros alone for an agent that has left the game
     action_mask    from the observation ({"observation": .., "action_mask": ..}) or from the info. It forbids what an
-                   agent with fewer actions than another lacks. Agents that have left may only take action 0
+                   agent with fewer actions than another lacks. Agents that have left may only take action 0. An agent
+                   that has had a mask must have one until the episode ends
     agent_rewards  as the environment gives them. Where it has one reward for all, each agent has that
     rewards        the sum of the agents' rewards, as in the paper, or the one reward for all. Where the environment
-                   has an attribute `teams` (a number for each agent), the sum over team 0
-    state          what the environment's function `state` returns, if that is a vector, or an image and
+                   has an attribute `teams` (a number for each agent), the sum over team 0. Where there is none, and
+                   agents with other names earn something else, a warning says so once
+    state          what the environment's function `state` returns, if that is a vector or a table, or an image and
                    `flatten_images` is given; otherwise the agents' observations
+    statistics     the numbers in the info of an episode's last step, such as info["won"]. In PettingZoo, where each
+                   agent has an info, their mean over team 0
     terminated     the last agents have left, and the clock is not the reason
     truncated      the clock is the reason, for at least one of the last agents. The clock is the environment's own or
                    `max_episode_steps`, whichever is first
@@ -33,11 +41,15 @@ Worker processes know the ids that Gymnasium has, and those that the module in <
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import importlib
+import math
+import numbers
 import os
 import sys
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -46,7 +58,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.vector import InputError
+from envs.faults import in_words, place
+from envs.vector import RESULT_COLUMNS, InputError
 from envs.workers import Games
 
 # Where environments keep the number of steps after which they end an episode
@@ -74,10 +87,13 @@ class Outcome(NamedTuple):
     agent_rewards: NDArray[np.float32]  # [agent]
     terminated: bool
     truncated: bool
+    statistics: Mapping[str, float]  # at the end of an episode
 
 
 class Game:
     """One environment, with agents by number. The two classes below know the interfaces."""
+
+    rules = ""  # what the interface asks of reset and step
 
     def __init__(self, source: Source) -> None:
         """Raises InputError for what cannot be built, and for what these algorithms cannot play."""
@@ -101,13 +117,18 @@ class Game:
         self.choices = tuple(int(space.n) for space in action_spaces)
         self.first_actions = [int(space.start) for space in action_spaces]
         self.spaces_seen = [self.space_seen(space) for space in observation_spaces]
-        flat: list[Any] = [spaces.flatten_space(space) for space in self.spaces_seen]
-        if not all(isinstance(space, spaces.Box) for space in flat):
+        flat: list[Any] = []
+        with contextlib.suppress(NotImplementedError):  # such as a space of texts of the package's own
+            flat = [spaces.flatten_space(space) for space in self.spaces_seen]
+        if not flat or not all(isinstance(space, spaces.Box) for space in flat):
             raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
         self.obs_size = max(int(space.shape[0]) for space in flat)
+        self.scales = [scale(space) for space in self.spaces_seen]
         largest = float(np.finfo(np.float32).max)
-        self.low = min(0.0, *(max(float(space.low.min(initial=0)), -largest) for space in flat))  # 0: the padding
-        self.high = max(0.0, *(min(float(space.high.max(initial=0)), largest) for space in flat))
+        lows = [(space.low / scale).min(initial=0) for space, scale in zip(flat, self.scales)]
+        highs = [(space.high / scale).max(initial=0) for space, scale in zip(flat, self.scales)]
+        self.low = max(float(min(0.0, *lows)), -largest)  # 0: the padding
+        self.high = min(float(max(0.0, *highs)), largest)
         teams = self.teams()
         if teams is not None and (len(teams) != self.n_agents or 0 not in teams):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, from 0 on.")
@@ -118,6 +139,7 @@ class Game:
             raise InputError(f"{self.name} says nowhere how long an episode lasts; `max_episode_steps` does.")
         self.clock_is_guessed = not source.max_episode_steps
         self.steps = 0
+        self.masked: set[int] = set()  # agents that have had a mask in this episode
         self.state_size = -1  # not known yet
         state = self.reset(0).state
         self.state_size = 0 if state is None else len(state)
@@ -138,6 +160,10 @@ class Game:
         """The number of each agent's team, or None where the environment does not say. InputError for anything else."""
         raise NotImplementedError
 
+    def names(self) -> list[str] | None:
+        """The agents' names, or None where they have none."""
+        return None
+
     def reset(self, seed: int) -> Outcome:
         """Begins an episode."""
         raise NotImplementedError
@@ -148,21 +174,48 @@ class Game:
 
     def frame(self) -> NDArray[np.uint8]:
         """The environment's own picture of itself."""
-        picture = self.env.render()
+        with self.told("in render"):
+            picture = self.env.render()
         if not isinstance(picture, np.ndarray) or picture.ndim != 3 or not np.issubdtype(picture.dtype, np.integer):
-            raise InputError(f"{self.name} has no picture of integers from 0 to 255.")
+            found = f"{picture.dtype} {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
+            raise InputError(
+                f"{self.name}: its render gives {found}, and no picture [height, width, 3] of integers from 0 to 255."
+            )
         return picture[..., :3].astype(np.uint8)
 
     def close(self) -> None:
         """Closes the environment."""
-        self.env.close()
+        with self.told("in close"):
+            self.env.close()
+
+    @contextlib.contextmanager
+    def told(self, where: str) -> Iterator[None]:
+        """An error of the game becomes a sentence that says so, and one at the border says what the interface asks."""
+        try:
+            yield
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
+            ) from error
+
+    def returned(self, method: str, result: Any, kinds: tuple[type, ...]) -> Any:
+        """What reset or step gave, if it has these parts. Raises InputError for an older interface, such as Gym's."""
+        if isinstance(result, tuple | list) and len(result) == len(kinds):
+            if all(isinstance(part, kind) for part, kind in zip(result, kinds)):
+                return result
+            found = ", ".join(type(part).__name__ for part in result)
+        else:
+            found = f"{len(result)} values" if isinstance(result, tuple | list) else type(result).__name__
+        raise InputError(f"{self.name}: {self.rules}; {method} returns {found}.")
 
     def space_seen(self, space: Any) -> Any:
         """An agent's observation space without its action mask."""
         if isinstance(space, spaces.Dict):
             parts = {name: part for name, part in space.spaces.items() if name != "action_mask"}
             space = parts["observation"] if list(parts) == ["observation"] else spaces.Dict(parts)
-        images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and len(part.shape) > 1]
+        images = [part.shape for part in leaves(space) if isinstance(part, spaces.Box) and is_image(part)]
         if images and not self.flatten_images:
             what = f"observations of the shape {images[0]}, not vectors"
             raise InputError(f"{self.name} has {what}; `flatten_images` makes vectors of them.")
@@ -176,8 +229,11 @@ class Game:
         reward: float,
         terminated: bool,
         truncated: bool,
+        statistics: Mapping[str, float] | None = None,
     ) -> Outcome:
         """The contract's arrays. seen, masks: of each agent; None if it has left, or if there is no mask."""
+        if self.steps == 0:
+            self.masked.clear()
         observations = np.zeros((self.n_agents, self.obs_size), np.float32)
         action_mask = np.zeros((self.n_agents, max(self.choices)), np.bool_)
         for i, observation in enumerate(seen):
@@ -188,14 +244,21 @@ class Game:
             if isinstance(observation, Mapping):
                 mask = observation.get("action_mask", mask)
             values = self.vector(observation, self.spaces_seen[i])
-            observations[i, : len(values)] = values
+            observations[i, : len(values)] = values / self.scales[i]
+            if mask is not None:
+                self.masked.add(i)
+            elif i in self.masked and not terminated and not truncated:  # at an end nobody acts any more
+                raise InputError(
+                    f"{self.name}: agent {i} has no action mask after step {self.steps} of the episode, and had one "
+                    "before; a mask must come with each observation."
+                )
             if mask is not None and np.shape(mask) != (self.choices[i],):
                 raise InputError(f"{self.name}: agent {i} has {self.choices[i]} actions and the action mask {mask}.")
             action_mask[i, : self.choices[i]] = True if mask is None else np.asarray(mask, np.bool_)
             if not action_mask[i].any():  # the agent has to wait
                 action_mask[i, 0] = True
         own = np.array(agent_rewards, np.float32)
-        return Outcome(observations, action_mask, self.state(), reward, own, terminated, truncated)
+        return Outcome(observations, action_mask, self.state(), reward, own, terminated, truncated, statistics or {})
 
     def vector(self, observation: Any, space: Any) -> NDArray[np.float32]:
         """What an agent sees, as [value]. Raises InputError where it does not fit the space that was declared."""
@@ -226,14 +289,15 @@ class Game:
         except Exception as error:
             # A wrapper of PettingZoo calls what an environment within calls its state, though that is no function.
             if not isinstance(error, TypeError) or "is not callable" not in str(error):
-                raise InputError(f"{self.name}: its function state fails: {in_words(error)}") from error
+                said = fault(self.name, "in state", error)
+                raise InputError(said or f"{self.name}: its function state fails: {in_words(error)}") from error
             said = None
         try:
             state = None if said is None else np.asarray(said, np.float32)
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: its state is not an array of numbers: {error}.") from error
-        if state is not None and state.ndim > 1 and not self.flatten_images:
-            state = None
+        if state is not None and isinstance(said, np.ndarray) and is_image(said):
+            state = state / np.float32(255 if said.dtype == np.uint8 else 1) if self.flatten_images else None
         size = 0 if state is None else state.size
         if self.state_size not in (-1, size):
             raise InputError(f"{self.name}: its state has {size} values now, and had {self.state_size}.")
@@ -278,6 +342,8 @@ def import_module(name: str, target: str) -> Any:
             raise InputError(f"{name} needs the module {error.name}, which is not installed.") from error
     except ImportError as error:  # such as PettingZoo's words on what has moved to another package
         raise InputError(f"{name}: {error}") from error
+    except Exception as error:
+        raise InputError(fault(name, "when it is imported", error) or f"{name}: {in_words(error)}") from error
     parent, _, last = target.rpartition(".")
     retired = getattr(sys.modules.get(parent), last, None)  # what PettingZoo has in the place of its old versions
     if retired is None:
@@ -285,9 +351,43 @@ def import_module(name: str, target: str) -> Any:
     return retired
 
 
-def in_words(error: Exception) -> str:
-    """An error's kind and text."""
-    return f"{type(error).__name__}: {error}"
+def fault(name: str, where: str, error: Exception) -> str | None:
+    """A sentence about an error in the code of a game; None if it came up before the game did anything."""
+    found = place(error)
+    return None if found is None else f"{name}: the game's own code fails {where} ({found}) with {in_words(error)}"
+
+
+def unbuilt(source: Source, error: Exception) -> InputError:
+    """Why a game could not be built: an error of its own, or what it was called with."""
+    own = None if isinstance(error, ImportError) else fault(source.name, "when it is built", error)
+    given = f"; it was given {dict(source.kwargs)}" if own and source.kwargs else ""
+    return InputError(f"{own or f'{source.name}: {error}'}{given}")
+
+
+def is_image(array: Any) -> bool:
+    """Whether an array, or a Box, is an image, and not a vector or a table of numbers."""
+    return len(array.shape) > 2 or (len(array.shape) == 2 and array.dtype == np.uint8)
+
+
+def scale(space: Any) -> NDArray[np.float32]:
+    """What the values of a flattened observation are divided by: 255 for those of images of bytes, else 1."""
+    parts = []
+    for leaf in leaves(space):
+        bytes = isinstance(leaf, spaces.Box) and is_image(leaf) and leaf.dtype == np.uint8 and leaf.high.max() == 255
+        parts.append(np.full(spaces.flatdim(leaf), 255 if bytes else 1, np.float32))
+    return np.concatenate(parts)
+
+
+def reported(info: Mapping[Any, Any]) -> dict[str, float]:
+    """The numbers in an info, by names that results of runs do not have already."""
+    found = {}
+    for key, value in info.items():
+        if isinstance(value, np.ndarray) and value.ndim == 0:
+            value = value.item()
+        if isinstance(value, bool | np.bool_ | numbers.Real) and abs(float(value)) < np.finfo(np.float32).max:
+            name = str(key)
+            found[f"info_{name}" if name in RESULT_COLUMNS or name.startswith("team_") else name] = float(value)
+    return found
 
 
 def leaves(space: Any) -> list[Any]:
@@ -302,6 +402,11 @@ def leaves(space: Any) -> list[Any]:
 class ParallelGame(Game):
     """An environment of PettingZoo, by its parallel interface."""
 
+    rules = (
+        "reset(seed=..., options=...) must return two dictionaries by agent, observations and infos, and step(actions) "
+        "five: observations, rewards, terminations, truncations and infos"
+    )
+
     def build(self, source: Source, more: Mapping[str, Any]) -> Any:
         """See `Game`."""
         module = import_module(source.name, source.target)
@@ -312,12 +417,8 @@ class ParallelGame(Game):
             raise InputError(f"{source.name}: the module has no function parallel_env, as those of PettingZoo have.")
         try:
             env = make(**{**source.kwargs, **more})
-        except (ImportError, TypeError) as error:  # a retired version or a missing package; a wrong keyword argument
-            raise InputError(f"{source.name}: {error}.") from error
-        except Exception as error:
-            if not source.kwargs:
-                raise
-            raise InputError(f"{source.name} does not take {source.kwargs}: {in_words(error)}") from error
+        except Exception as error:  # also of a retired version, or a missing package
+            raise unbuilt(source, error) from error
         if not hasattr(env, "metadata"):
             env.metadata = {}  # PettingZoo's own functions look into it
         if not hasattr(env, "possible_agents"):
@@ -328,8 +429,13 @@ class ParallelGame(Game):
 
     def spaces(self) -> tuple[list[Any], list[Any]]:
         """See `Game`."""
-        observation_spaces = [self.env.observation_space(agent) for agent in self.agents]
-        return observation_spaces, [self.env.action_space(agent) for agent in self.agents]
+        try:
+            observation_spaces = [self.env.observation_space(agent) for agent in self.agents]
+            return observation_spaces, [self.env.action_space(agent) for agent in self.agents]
+        except Exception as error:
+            rule = "observation_space(agent) and action_space(agent) must be functions that return a space"
+            said = fault(self.name, "in its spaces", error) or f"{self.name}: {rule}; {in_words(error)}"
+            raise InputError(said) from error
 
     def find_clock(self) -> int:
         """See `Game`. Some environments are wrapped more than once."""
@@ -350,11 +456,17 @@ class ParallelGame(Game):
         except (TypeError, ValueError, KeyError, IndexError):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, by name.") from None
 
+    def names(self) -> list[str] | None:
+        """See `Game`."""
+        return [str(agent) for agent in self.agents]
+
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
-        observations, infos = self.env.reset(seed=seed)
+        with self.told("in reset"):
+            result, agents = self.env.reset(seed=seed), self.env.agents
+        observations, infos = self.returned("reset", result, (Mapping,) * 2)
         self.steps = 0
-        self.playing = self.known(self.env.agents, observations)
+        self.playing = self.known(agents, observations)
         seen = [observations.get(agent) if agent in self.playing else None for agent in self.agents]
         return self.outcome(seen, self.masks(infos), [0.0] * self.n_agents, 0.0, False, False)
 
@@ -365,7 +477,9 @@ class ParallelGame(Game):
             for agent, first, action in zip(self.agents, self.first_actions, actions)
             if agent in self.playing
         }
-        observations, rewards, terminations, truncations, infos = self.env.step(chosen)
+        with self.told("in step"):
+            result = self.env.step(chosen)
+        observations, rewards, terminations, truncations, infos = self.returned("step", result, (Mapping,) * 5)
         self.steps += 1
         left = {agent for flags in (terminations, truncations) for agent in flags if flags[agent]}
         timed_out = any(truncations.get(agent) and not terminations.get(agent) for agent in self.playing)
@@ -381,7 +495,15 @@ class ParallelGame(Game):
         seen = [observations.get(agent) if agent in present else None for agent in self.agents]
         own = [self.number(rewards.get(agent, 0)) for agent in self.agents]
         reward = self.sum_over_team(own)
-        return self.outcome(seen, self.masks(infos), own, reward, ended and not timed_out, ended and timed_out)
+        ends = ended and not timed_out, ended and timed_out
+        return self.outcome(seen, self.masks(infos), own, reward, *ends, self.statistics(infos) if ended else None)
+
+    def statistics(self, infos: Mapping[str, Any]) -> dict[str, float]:
+        """The mean over team 0 of each number in the agents' infos."""
+        teams = self.teams() or (0,) * self.n_agents
+        own = [reported(infos.get(agent) or {}) for agent, team in zip(self.agents, teams) if team == 0]
+        names = dict.fromkeys(name for each in own for name in each)
+        return {name: float(np.mean([each[name] for each in own if name in each])) for name in names}
 
     def known(self, agents: Iterable[Any], observations: Mapping[str, Any]) -> set[Any]:
         """The agents as a set. Raises InputError for one that `possible_agents` did not name, or that sees nothing."""
@@ -399,21 +521,27 @@ class ParallelGame(Game):
 class TupleGame(Game):
     """An environment of Gymnasium: several agents, by tuples, or one."""
 
+    rules = (
+        "reset(seed=..., options=...) must return observations and a dictionary, the info, and step(actions) five "
+        "things: observations, rewards, terminated, truncated and info"
+    )
+
     def build(self, source: Source, more: Mapping[str, Any]) -> Any:
         """See `Game`."""
         look_here()  # for the module in <module>:<id>
         try:
             return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
-        except (gymnasium.error.Error, ImportError, TypeError) as error:
-            raise InputError(f"{source.name}: {error}") from error
         except Exception as error:
-            if not source.kwargs:
-                raise
-            raise InputError(f"{source.name} does not take {source.kwargs}: {in_words(error)}") from error
+            raise unbuilt(source, error) from error
 
     def spaces(self) -> tuple[list[Any], list[Any]]:
         """See `Game`."""
         observation_space, action_space = self.env.observation_space, self.env.action_space
+        if isinstance(action_space, Mapping):  # also Gymnasium's Dict
+            raise InputError(
+                f"{self.name} has a dictionary of actions by agent, as PettingZoo's environments have; with a wrapper "
+                "that makes it a ParallelEnv (its package may have one), it is played as pettingzoo:<module>."
+            )
         self.one_agent = not isinstance(action_space, spaces.Tuple)
         if self.one_agent:
             return [observation_space], [action_space]
@@ -437,14 +565,18 @@ class TupleGame(Game):
 
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
-        observations, info = self.env.reset(seed=seed)
+        with self.told("in reset"):
+            result = self.env.reset(seed=seed)
+        observations, info = self.returned("reset", result, (object, Mapping))
         self.steps = 0
         return self.outcome(self.by_agent(observations), self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
 
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
         chosen = tuple(first + action for first, action in zip(self.first_actions, actions))
-        observations, rewards, ends, time_outs, info = self.env.step(chosen[0] if self.one_agent else chosen)
+        with self.told("in step"):
+            result = self.env.step(chosen[0] if self.one_agent else chosen)
+        observations, rewards, ends, time_outs, info = self.returned("step", result, (*(object,) * 4, Mapping))
         self.steps += 1
         for flags in (ends, time_outs):
             if isinstance(flags, Mapping) or np.shape(flags) not in ((), (self.n_agents,)):
@@ -462,9 +594,9 @@ class TupleGame(Game):
         else:
             own = [self.number(value) for value in self.by_agent(rewards)]
             reward = self.sum_over_team(own)
-        return self.outcome(
-            self.by_agent(observations), self.masks(info), own, reward, terminated and not truncated, truncated
-        )
+        statistics = reported(info) if terminated or truncated else None
+        seen, masks = self.by_agent(observations), self.masks(info)
+        return self.outcome(seen, masks, own, reward, terminated and not truncated, truncated, statistics)
 
     def masks(self, info: Mapping[str, Any]) -> list[Any]:
         """The agents' action masks in the info, or None for each."""
@@ -487,8 +619,8 @@ def clock_of(env: Any) -> int:
     """The number of steps that an environment keeps under one of the usual names, or 0."""
     for name in CLOCKS:
         value = getattr(env, name, None)
-        if isinstance(value, int) and value > 0:
-            return value
+        if isinstance(value, int | np.integer) and not isinstance(value, bool) and value > 0:
+            return int(value)
     return 0
 
 
@@ -545,12 +677,20 @@ class Env(vector.VectorEnv):
             teams=game.teams(),
             choices=game.choices,
         )
+        if names := game.names():
+            self.agent_names = tuple(names)
         self.can_draw = game.can_draw
+        self._sides: list[list[int]] = []  # agents whose names begin alike, where these may be sides that oppose
+        if game.teams() is None and names:
+            kinds = dict.fromkeys(kind_of(name) for name in names)
+            self._sides = [[i for i, name in enumerate(names) if kind_of(name) == kind] for kind in kinds]
         game.close()
         self.games = Games(name, build, num_envs, env_workers)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
+        if mask.all():
+            self.statistics.clear()  # what results say must not depend on episodes before
         chosen = np.flatnonzero(mask).tolist()
         self._play("reset", {e: (vector.episode_seed(int(seed), e, int(episodes[e])),) for e in chosen})
 
@@ -582,3 +722,28 @@ class Env(vector.VectorEnv):
             self.agent_rewards[e] = outcome.agent_rewards
             self.terminated[e] = outcome.terminated
             self.truncated[e] = outcome.truncated
+            if outcome.terminated or outcome.truncated:
+                for name in {**self.statistics, **outcome.statistics}:
+                    values = self.statistics.setdefault(name, np.full(self.num_envs, np.nan, np.float32))
+                    values[e] = outcome.statistics.get(name, math.nan)
+            if len(self._sides) > 1:
+                self._look_at_sides(self.agent_rewards[e])
+
+    def _look_at_sides(self, rewards: NDArray[np.float32]) -> None:
+        """Warn, once, where agents with other names earn something else, so that their sum may be of no use."""
+        earned = [sorted(set(rewards[side].tolist())) for side in self._sides]
+        if all(each == earned[0] for each in earned):
+            return
+        words = " and ".join(self.agent_names[side[0]] for side in self._sides)
+        self._sides = []
+        warnings.warn(
+            f"{self.name}: {words} do not earn the same, and the team's reward is the sum over all agents. If they "
+            "oppose each other, give the environment an attribute `teams`, the number of each agent's team, such as "
+            "{'red_0': 0, 'blue_0': 1} (docs/how-to/use-pettingzoo-or-gymnasium.md).",
+            stacklevel=2,
+        )
+
+
+def kind_of(name: str) -> str:
+    """What an agent's name says of its kind or side: all but its number."""
+    return name.rstrip("0123456789").rstrip("_-. ")

@@ -54,7 +54,7 @@ Statistics: goal_distance, of the listener or of the nearest good agent, and adv
 adversary, both at the end; occupied_landmarks, those with an agent within 0.1 at the end; contacts, the pairs of agents
 (in Tag: predators with the prey) that touch, added up over the steps.
 
-Opponents: networks that benchmark/train_opponents.py has trained with the learning team in the paper's -selfplay task
+Opponents: networks that tools/train_opponents.py has trained with the learning team in the paper's -selfplay task
 and that always take the most probable action. Like every agent, an opponent decides before it knows what the others do
 in the same step: it acts on the observation that the last step (or the reset) has left. mpe2-... has the same
 opponents, their moves translated. The files opponents/*.json say where they come from. With
@@ -450,7 +450,7 @@ class Network(NamedTuple):
 
 
 def read_network(path: str | os.PathLike[str], scenario: str) -> Network:
-    """The network in an archive of six arrays, named as in `Network`, as benchmark/train_opponents.py writes it.
+    """The network in an archive of six arrays, named as in `Network`, as tools/train_opponents.py writes it.
 
     Raises InputError where the file is missing or damaged, and where the network does not fit the scenario's opponent.
     """
@@ -530,6 +530,7 @@ class Scenario(NamedTuple):
     obs_size: int  # of the agent that sees most
     n_actions: tuple[int, ...]  # [agent]
     teams: tuple[int, ...]  # [agent]
+    kinds: tuple[str, ...]  # [agent]: the names that mpe2 gives them
     radius: tuple[float, ...]  # [agent]
     acceleration: tuple[float, ...]  # [agent]; 0: it cannot move
     top_speed: tuple[float, ...]  # [agent]
@@ -545,6 +546,7 @@ SCENARIOS = {
         obs_size=11,
         n_actions=(3, 5),
         teams=(0, 0),
+        kinds=("speaker", "listener"),
         radius=(0.075, 0.075),
         acceleration=(0.0, 5.0),
         top_speed=(np.inf, np.inf),
@@ -558,6 +560,7 @@ SCENARIOS = {
         obs_size=18,
         n_actions=(5, 5, 5),
         teams=(0, 0, 0),
+        kinds=("agent", "agent", "agent"),
         radius=(0.15, 0.15, 0.15),
         acceleration=(5.0, 5.0, 5.0),
         top_speed=(np.inf, np.inf, np.inf),
@@ -571,6 +574,7 @@ SCENARIOS = {
         obs_size=10,
         n_actions=(5, 5, 5),
         teams=(1, 0, 0),
+        kinds=("adversary", "agent", "agent"),
         radius=(0.15, 0.15, 0.15),
         acceleration=(5.0, 5.0, 5.0),
         top_speed=(np.inf, np.inf, np.inf),
@@ -584,6 +588,7 @@ SCENARIOS = {
         obs_size=16,
         n_actions=(5, 5, 5, 5),
         teams=(0, 0, 0, 1),
+        kinds=("adversary", "adversary", "adversary", "agent"),
         radius=(0.075, 0.075, 0.075, 0.05),
         acceleration=(3.0, 3.0, 3.0, 4.0),
         top_speed=(1.0, 1.0, 1.0, 1.3),
@@ -648,6 +653,7 @@ class Env(vector.VectorEnv):
             statistics=game.statistics,
             teams=[game.teams[i] for i in learning],
             choices=[game.n_actions[i] for i in learning],
+            kinds=game.kinds if all_learn else None,
         )
         unused = np.zeros(num_envs, np.float32)
         self.game = State(

@@ -17,6 +17,7 @@ from envs.runs import fast_mkl  # isort: skip (before whatever imports PyTorch)
 from envs.runs.directory import (
     RunDirectory,
     describe,
+    file_name,
     fitting_checkpoint,
     is_whole,
     last_checkpoint,
@@ -24,6 +25,7 @@ from envs.runs.directory import (
     renewed_config,
     run_path,
     safe_name,
+    write_episodes,
     write_whole,
 )
 from envs.runs.flags import (
@@ -38,6 +40,7 @@ from envs.runs.flags import (
     parse_flags,
 )
 from envs.runs.log import Log, in_words
+from envs.runs.memory import forgotten
 from envs.runs.process import (
     StopSignals,
     Stopwatch,

@@ -23,12 +23,23 @@ import filelock
 
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
 from envs.runs.process import Stopwatch, provenance, say, script_hash
-from envs.vector import InputError
+from envs.vector import EpisodeTotals, InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
-OTHER_FILES = ("lock", "replay.bin", "progress.json", "config.json", "evaluations.csv", "film.gif", "wandb-id")
+OTHER_FILES = (
+    "lock",
+    "replay.bin",
+    "progress.json",
+    "config.json",
+    "evaluations.csv",
+    "episodes.csv",
+    "film.gif",
+    "wandb-id",
+)
 
 SAVE_SECONDS = 300  # between checkpoints, about the most that a killed run loses
+
+PAUSES = (0.05, 0.15, 0.3, 0.5)  # seconds between the tries to put a file in the place of one that is open elsewhere
 
 SYSTEMS = re.compile(r"\.DS_Store$|\.nfs")  # files that macOS and NFS put into any folder
 
@@ -44,6 +55,20 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+def put(new: Path, path: Path) -> None:
+    """Puts a file in the place of another one.
+
+    On Windows this is refused while another program has the other one open, such as a virus scanner for a moment. So it
+    is tried for about a second. Raises PermissionError after that.
+    """
+    for pause in PAUSES:
+        with contextlib.suppress(PermissionError):
+            new.replace(path)
+            return
+        time.sleep(pause)
+    new.replace(path)
+
+
 def write_whole(path: Path, text: str) -> None:
     """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
 
@@ -55,10 +80,28 @@ def write_whole(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        new.replace(path)
+        put(new, path)
     except OSError:
         new.unlink(missing_ok=True)
         raise
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A table as text, with the columns of all rows in the order in which they come up; a later row may have more."""
+    table = io.StringIO()
+    writer = csv.DictWriter(
+        table, list(dict.fromkeys(name for row in rows for name in row)), restval="", lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(rows)
+    return table.getvalue()
+
+
+def write_episodes(directory: str | os.PathLike[str], totals: EpisodeTotals) -> Path:
+    """Writes episodes.csv, a row for each episode of an evaluation, into a run's directory. Returns its path."""
+    path = Path(directory, "episodes.csv")
+    write_whole(path, as_csv(totals.episodes()))
+    return path
 
 
 def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[str, Any]:
@@ -157,11 +200,14 @@ def run_path(runs: Path, algorithm: str, task: str, sharing: bool, seed: int, ch
 
     changed: the flags that differ from the paper's. How long a run is does not count, since it may be lengthened.
     """
-    setting = f"{algorithm}-{'shared' if sharing else 'independent'}"
-    for name, value in changed.items():
-        if name not in NOT_IN_DIRECTORY:
-            setting += f"-{name.replace('_', '-')}={value}"
-    return runs / safe_name(task) / safe_name(setting) / f"seed{seed}"
+    named = {name: value for name, value in changed.items() if name not in NOT_IN_DIRECTORY}
+    return runs / safe_name(task) / file_name(algorithm, sharing, named) / f"seed{seed}"
+
+
+def file_name(algorithm: str, sharing: bool, changed: Mapping[str, Any]) -> str:
+    """What directories of runs and tables of results are called: <algorithm>-<shared|independent>[-<flag>=<value>]."""
+    flags = (f"-{name.replace('_', '-')}={value}" for name, value in changed.items())
+    return safe_name("".join([algorithm, "-shared" if sharing else "-independent", *flags]))
 
 
 class RunDirectory:
@@ -264,8 +310,8 @@ class RunDirectory:
             file.flush()
             os.fsync(file.fileno())  # it takes the place of a good one
         if last.exists():
-            last.replace(previous)
-        new.replace(last)
+            put(last, previous)
+        put(new, last)
         self._write_tables(saved)
         self._saved_at = time.monotonic()
 
@@ -275,21 +321,22 @@ class RunDirectory:
         return time.monotonic() - self._saved_at > SAVE_SECONDS
 
     def _write_tables(self, saved: Mapping[str, Any]) -> None:
-        table = io.StringIO()
-        columns = list(dict.fromkeys(name for row in saved["rows"] for name in row))  # a later row may have more
-        writer = csv.DictWriter(table, columns, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(saved["rows"])
-        texts = {"evaluations.csv": table.getvalue(), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
+        texts = {"evaluations.csv": as_csv(saved["rows"]), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
         for name, text in texts.items():
             path = self.path / name
-            if not path.exists() or path.read_bytes() != text.encode():
-                write_whole(path, text)
+            try:
+                if not path.exists() or path.read_bytes() != text.encode():
+                    write_whole(path, text)
+            except PermissionError:  # on Windows, where a spreadsheet has it open
+                say(f"{path} is open in another program and stays as it is; it is written at the next save.")
 
     def complete(self) -> None:
         """Deletes what only a running run needs, and says how to watch what has been learnt."""
         for name in ("progress.json", "replay.bin"):
-            (self.path / name).unlink(missing_ok=True)
+            try:
+                (self.path / name).unlink(missing_ok=True)
+            except PermissionError as error:
+                say(f"{self.path / name} is no longer needed, but cannot be deleted: {error.strerror}.")
         script = Path(self.script).resolve()
         with contextlib.suppress(ValueError):  # it lies elsewhere
             script = script.relative_to(Path.cwd())

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
+import psutil
 import tyro
 
 import envs
 from envs.runs.process import flush_stdout
-from envs.vector import InputError
+from envs.vector import RESULT_COLUMNS, InputError
 
 
 @dataclass
@@ -54,10 +55,6 @@ OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "
 WITH_WATCH = OF_THE_TASK | {"env", "env_workers", "seed", "eval_episodes", "threads", "watch", "greedy"}
 MAY_CHANGE = OF_ONE_RUN - {"seed"} | {"total_timesteps"}  # when a run is resumed
 NOT_IN_DIRECTORY = {"total_timesteps", "eval_points", "eval_episodes"}  # how long a run is, and when it is looked at
-
-# Columns of evaluations.csv and of benchmark/results
-RESULT_COLUMNS = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"}
-RESULT_COLUMNS |= {"task", "family", "algorithm", "sharing", "setting", "seed", "total_timesteps", "paper_timesteps"}
 
 
 class Range(NamedTuple):
@@ -260,13 +257,31 @@ def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) ->
     return env
 
 
+def check_room(env: envs.VectorEnv) -> None:
+    """Raises InputError where an episode of each sub-environment, which a script stores, does not fit into memory."""
+    numbers = env.n_agents * env.obs_size + (0 if env.state_is_observations else env.state_size)
+    step = 4 * numbers + env.n_agents * (env.n_actions + 12)  # bytes; 12 for an action and a reward
+    room, free = (env.episode_limit + 1) * env.num_envs * step, psutil.virtual_memory().available
+    if room > free:
+        raise InputError(
+            f"{env.name}: episodes of {env.episode_limit:,} steps in {env.num_envs:,} sub-environments take "
+            f"{room / 2**20:,.0f} MiB, more than the free memory ({free / 2**20:,.0f}); `max_episode_steps` makes "
+            "episodes of environments that are not ours shorter."
+        )
+
+
 def check_teams(env: envs.VectorEnv, individual_rewards: bool, parameter_sharing: bool) -> None:
-    """Raises InputError where opposing teams would learn from one reward, or with one network."""
+    """Raises InputError where opposing teams would learn from one reward, or with one network, and as `check_room`."""
+    check_room(env)
     if len(set(env.teams)) > 1 and not (individual_rewards and not parameter_sharing):
         raise InputError(f"{env.name} has opposing teams, which need --individual-rewards and --no-parameter-sharing.")
 
 
 def check_one_team(env: envs.VectorEnv, reason: str) -> None:
-    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams."""
+    """Raises InputError where an algorithm that learns from the team's reward would train opposing teams.
+
+    And as `check_room`.
+    """
+    check_room(env)
     if len(set(env.teams)) > 1:
         raise InputError(f"{env.name} has opposing teams: {reason}.")

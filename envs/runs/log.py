@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import secrets
@@ -99,7 +100,8 @@ class Log:
                 "training_return": recent,
                 "evaluation_return": self.last_evaluation,
             }
-            write_whole(self.path / "progress.json", json.dumps(progress) + "\n")
+            with contextlib.suppress(PermissionError):  # somebody reads it, on Windows; the next one comes soon
+                write_whole(self.path / "progress.json", json.dumps(progress) + "\n")
         said = "" if self.last_evaluation is None else f", evaluation {self.last_evaluation:.3f}"
         self.bar.set_postfix_str(f"return {recent:.3f}{said}", refresh=False)
         if self.bar.disable and now - self.said >= self.pause:

@@ -33,6 +33,13 @@ class EpisodeFile:
         self.checkpoint_every = -(-size // 4)  # episodes
         self.names = list(fields)
         n_slots = size + 2 * self.checkpoint_every
+        smaller = "`max_episode_steps` makes episodes of environments that are not ours shorter"
+        episode = sum(x.nbytes for x in fields.values()) + 8
+        if episode >= 2**31:
+            raise InputError(
+                f"An episode takes {episode / 2**20:,.0f} MiB, and a replay holds episodes of up to 2,047; {smaller}."
+            )
+        smaller = f"`buffer_size` makes it smaller, and {smaller}"
         slot = np.dtype([*((name, x.dtype, x.shape) for name, x in fields.items()), ("number", np.int64)])
         room = n_slots * slot.itemsize
         mib = f"{room / 2**20:,.0f} MiB"
@@ -43,20 +50,20 @@ class EpisodeFile:
             disk = psutil.disk_usage(str(path.parent)).free
             where = f"on the disk ({disk / 2**20:,.0f} free) and in memory"
             if room > disk:
-                raise InputError(f"{path} would take {mib}, more than the free disk.")
+                raise InputError(f"{path} would take {mib}, more than the free disk; {smaller}.")
         elif not path.exists():
             raise InputError(f"{path} is gone (a complete run deletes it), so this run cannot go on.")
         elif path.stat().st_size != room:
             raise InputError(f"{path} is damaged: it has another length than the replay of this run.")
         say(f"{path} takes {mib} {where} ({memory / 2**20:,.0f} free) while the run lasts.")
         if room > memory:
-            raise InputError(f"{path} would take {mib}, more than the free memory.")
+            raise InputError(f"{path} would take {mib}, more than the free memory; {smaller}.")
         if played == 0:
             with naming(path), open(path, "wb") as file:
                 file.truncate(room)
                 if hasattr(os, "posix_fallocate"):  # take the room at once, not when the disk is full
                     os.posix_fallocate(file.fileno(), 0, room)
-        self.slots = np.memmap(path, slot, "r+")
+        self.slots: Any = np.memmap(path, slot, "r+")
         numbers = np.arange(max(played - size, 0), played) + 1
         if not np.array_equal(self.slots["number"][(numbers - 1) % n_slots], numbers):
             raise InputError(f"{path} is damaged: it does not hold the last episodes of this run.")
@@ -64,6 +71,10 @@ class EpisodeFile:
     def flush(self) -> None:
         """Writes what is still in memory only: a checkpoint refers to what it finds on the disk."""
         self.slots.flush()
+
+    def close(self) -> None:
+        """Ends the use of the file, so that it can be deleted; it holds no episodes any more."""
+        self.slots = np.empty(0, self.slots.dtype)  # nothing refers to the mapped memory any more
 
     def write(self, number: int, episode: Mapping[str, NDArray[Any]]) -> None:
         """Writes an episode; its arrays may be shorter than the fields."""

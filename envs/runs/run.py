@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import envs
-from envs.runs.directory import RunDirectory, fitting_checkpoint, last_checkpoint, read_checkpoint
+from envs.runs.directory import RunDirectory, fitting_checkpoint, last_checkpoint, read_checkpoint, write_episodes
 from envs.runs.flags import OF_THE_TASK, given_flags, make_for, parse_flags
 from envs.runs.log import Log, in_words
 from envs.runs.process import StopSignals, keep_freed_memory, one_sentence
@@ -30,15 +30,15 @@ class Team(Protocol):
 
     args: Any
 
-    def reset(self) -> None:
-        """Forgets the last episode. To be called before each new one."""
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forgets the last episode. To be called before each new one. mask, [env]: only there."""
 
     def act(self, observations: NDArray[np.float32], info: dict[str, Any]) -> NDArray[np.int64]:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
 
 
-def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
-    """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
+def play(env: VectorEnv, team: Team, seed: int) -> EpisodeTotals:
+    """Plays one episode in each sub-environment, all drawn from the seed."""
     observations, info = env.reset(seed=seed)
     team.reset()
     totals = EpisodeTotals(env)
@@ -46,7 +46,12 @@ def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
         actions = team.act(observations, info)
         observations, rewards, terminated, truncated, info = env.step(actions)
         totals.add(rewards, terminated, truncated, info)
-    return totals.means()
+    return totals
+
+
+def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
+    """Plays one episode in each sub-environment, all drawn from the seed. Returns their means."""
+    return play(env, team, seed).means()
 
 
 class Run:
@@ -178,6 +183,8 @@ class Run:
         """Saves the end of the training, and deletes what only a running run needs."""
         if self.rows[-1]["timestep"] < self.timestep:
             self.save()
+        if self.replay is not None:
+            self.replay.close()  # Windows deletes no file that is in use
         self.directory.complete()
         self.log.close()
 
@@ -230,9 +237,14 @@ def watch(args: Any, load: Callable[..., Team], given: set[str]) -> None:
             f"The team of {args.watch} does not fit: it has {n_agents} agents with {obs_size} observations and "
             f"{n_actions} actions; {env.name} has {env.n_agents} with {env.obs_size} and {env.n_actions}."
         )
-    print(in_words(evaluate(env, team, args.seed)), flush=True)
+    totals = play(env, team, args.seed)
+    print(in_words(totals.means()), flush=True)
     team = load(args.watch, args.seed, args.greedy)  # one that has drawn nothing yet, so that it plays the same
-    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")))
+    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")), flush=True)
+    try:
+        print(f"episodes: {write_episodes(args.watch, totals)}")
+    except OSError as error:  # a directory that cannot be written, a full disk
+        print(f"There is no place for the episodes: {error}")
 
 
 def main(

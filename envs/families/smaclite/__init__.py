@@ -36,14 +36,16 @@ when nobody shoots, even gained.
 End: one side is dead, a termination; the map's own number of steps, a truncation. With -sc2 a side with nothing but
 healers is dead, too, and a battle that nobody survives is not won. Statistics: battle_won, dead_allies, dead_enemies.
 
-A tick: (1) An enemy keeps its target while that lives and is within reach, or attacks this enemy; only the spine
-crawler of -sc2 does not. Without one it takes the nearest of all it can hit that are within its sight (see the tables)
-or attack it. (Without -sc2 healers come first, and as long as one lives, an enemy that does not attack a healer chooses
-anew in each tick.) A healer of the enemies takes the weakest on the ground around it that is hurt or busy. Who has
-nobody walks to the map's point of attack, in a straight line, a healer no faster than those around it. Agents' units do
-what they are told and nothing else. (2) Who has its target within reach stands and shoots, if its weapon has cooled
-down; others walk. Units and walls are avoided as in ORCA, but who stands, stands like a rock. (3) In an order drawn
-anew for each tick, units move, regenerate, shoot.
+A tick has three phases:
+    First, targets: an enemy keeps its target while that lives and is within reach, or attacks this enemy; only the
+    spine crawler of -sc2 does not. Without one it takes the nearest of all that it can hit and that are within its
+    sight (see the tables) or attack it. Without -sc2 healers come first, and as long as one lives, an enemy that does
+    not attack a healer chooses anew in each tick. A healer of the enemies takes the weakest on the ground around it
+    that is hurt or busy. An enemy without a target walks straight to the map's point of attack, a healer no faster
+    than those around it. Agents' units do what they are told and nothing else.
+    Then, ways: a unit that has its target within reach stands, and shoots if its weapon has cooled down; the others
+    walk. Units and walls are avoided as in ORCA, but a unit that stands does not give way.
+    Last, in an order drawn anew for each tick, units move, regenerate and shoot.
 
 A hit takes the damage (more on armoured units) from the shield, the rest, less the armour, from the hp. Shields regain
 2 per second after 10 s without a hit, zerg 0.38 (0.273 with -sc2). A medivac gives 9 hp per second, 3 for a point of

@@ -1,0 +1,352 @@
+"""The figures of the page "The paper, run again", from the paper's tables, benchmark/results and what is tested.
+
+    python tools/paper_run_again.py opponents
+    python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
+    python tools/paper_run_again.py page
+
+The last one writes the figures of all parts into docs/paper-run-again.md, as after new results; read the page's
+sentences then, too. `PARTS` at the end lists the parts. Probes of the paper's networks need its files, which are not in
+this repository; examples/paper_opponents.py converts them.
+
+A test holds the page's figures against what this prints.
+"""
+
+import contextlib
+import functools
+import io
+import itertools
+import json
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import ttest_ind_from_stats
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmark import agreement, claims
+from benchmark.measures import interval
+from benchmark.report import Report
+from benchmark.store import FAMILIES, INDEPENDENT, RESULTS, SHARED, paper_cells
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "paper-run-again.md"
+ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
+OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
+MATRIX = ["matrix-climbing", *(f"matrix-penalty-{k}" for k in (0, 25, 50, 75, 100))]
+SHARING = {SHARED: "with sharing", INDEPENDENT: "without"}
+TRAINED_AGAINST = ("mpe-adversary", "mpe-tag")
+
+
+@functools.cache
+def report() -> Report:
+    """Everything that report.py writes is made of this."""
+    return Report(RESULTS)
+
+
+def curves(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
+    """The returns of one table: [point, seed]."""
+    chosen = evaluations[(evaluations["task"] == task) & (evaluations["algorithm"] == algorithm)]
+    chosen = chosen[chosen["sharing"] == sharing]
+    return chosen.pivot(index="point", columns="seed", values="return_mean")
+
+
+def ours(task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
+    """The returns of one of our tables: [point, seed]."""
+    return curves(report().shown, task, algorithm, sharing)
+
+
+@functools.cache
+def paper(metric: str) -> dict[tuple[str, str, str], tuple[float, float]]:
+    """(task, algorithm, sharing) -> (mean, interval) of one of the paper's tables."""
+    cells = paper_cells()
+    cells = cells[cells["metric"] == metric]
+    keys = cells[["task", "algorithm", "sharing"]].itertuples(index=False, name=None)
+    return dict(zip(keys, cells[["mean", "interval"]].itertuples(index=False, name=None)))
+
+
+def seeds() -> None:
+    """How many cells have how many seeds, by family and sharing."""
+    for words, shown in (("", report().shown), (", against our own opponents", report().against_own)):
+        cells = shown[~shown["other_budget"]].groupby(["family", "sharing", "task", "algorithm"])
+        table = cells["seed"].nunique()
+        for name, sharing in itertools.product(FAMILIES, SHARING):
+            cells = table[(table.index.get_level_values(0) == name) & (table.index.get_level_values(1) == sharing)]
+            if len(cells):
+                number = ", ".join(f"{count} with {n}" for n, count in sorted(Counter(cells).items()))
+                print(f"{FAMILIES[name]}, {SHARING[sharing]}{words}: {len(cells)} cells, {number}; {cells.sum()} runs")
+
+
+def updates() -> None:
+    """How near the scripts' updates are to those recorded with EPyMARL: the bounds of the tests."""
+    from check_exercise import TOLERANCES
+
+    for name, (weights, losses) in TOLERANCES.items():
+        with np.load(ROOT / "tests/data/updates" / f"{name}.npz") as file:
+            commit = json.loads(str(file["fc_shared.hyperparameters"]))["epymarl_commit"]
+        print(f"{name}: weights {weights:.0e}, losses and norms of gradients {losses:.0e}, EPyMARL {commit[:7]}")
+
+
+def causes() -> None:
+    """The averages and maxima that do not agree, by what is known of them."""
+    number: Counter[str] = Counter()
+    counted = report().counted
+    for cell in counted[~counted["agrees"]].itertuples():
+        if cell.family == "matrix" and cell.algorithm in ON_POLICY and cell.metric == "average_return":
+            number["matrix games, on-policy averages"] += 1
+        elif cell.family == "matrix":
+            number["matrix games, MADDPG's maxima" if cell.algorithm == "maddpg" else "matrix games, others"] += 1
+        else:
+            number[cell.cause or f"{cell.algorithm.upper()} on {cell.task}"] += 1
+    print(f"{(~counted['agrees']).sum()} of {len(counted)} averages and maxima do not agree:")
+    for cause, cells in number.most_common():
+        print(f"{cells}  {cause}")
+
+
+def identical() -> None:
+    """Off-policy cells of the matrix games whose mean and interval are the paper's as they are printed."""
+    for metric, name in agreement.METRICS.items():
+        both = report().compared
+        both = both[(both["metric"] == metric) & both["task"].isin(MATRIX) & both["algorithm"].isin(OFF_POLICY)]
+        same = (both["mean"].round(2) == both["paper_mean"]) & (both["interval"].round(2) == both["paper_interval"])
+        varies = ~agreement.is_trivial(both)
+        for algorithm in OFF_POLICY:
+            own = both["algorithm"] == algorithm
+            print(f"{algorithm}, {name}: {(same & own & varies).sum()} of {(own & varies).sum()} that vary over seeds")
+
+
+def length() -> None:
+    """Average returns of the matrix games beside the paper's, if only the first points count."""
+    theirs = paper("average_return")
+    for name, algorithms in (("on-policy", ON_POLICY), ("off-policy", OFF_POLICY)):
+        for points in (101, 90, 84, 80):
+            differences = []
+            for key in itertools.product(MATRIX, algorithms, SHARING):
+                mean, error = theirs[key]
+                own = ours(*key).iloc[:points].mean()
+                width = agreement.half_width(interval(own.std(), len(own)), len(own), error)
+                differences.append((own.mean() - mean) / width)
+            print(
+                f"{name}, the first {points} points: {np.sum(np.abs(differences) <= 1)} of {len(differences)} averages "
+                f"agree, root mean square {np.sqrt(np.mean(np.square(differences))):.1f}"
+            )
+    for task in MATRIX:
+        cells = itertools.product(ON_POLICY, SHARING)
+        starts = {tuple(ours(task, algorithm, sharing).iloc[0]) for algorithm, sharing in cells}
+        print(f"{task}: the ten on-policy cells begin with {len(starts)} different sets of five returns")
+
+
+def climbing() -> None:
+    """Which returns of five seeds give the 175 ± 54.77 of the paper's VDN and QMIX, if both agents act alike."""
+    for name, payoffs in (("as we have the rows", (11, 7, 5)), ("as they are printed", (0, 7, 0))):
+        found = []
+        for chosen in itertools.combinations_with_replacement(sorted({25 * x for x in payoffs}), 5):
+            if abs(np.mean(chosen) - 175) < 0.01 and abs(interval(np.std(chosen, ddof=1), 5) - 54.77) < 0.01:
+                found.append(chosen)
+        print(f"{name}: {', '.join(map(str, found)) or 'none'}")
+
+
+def untrained() -> None:
+    """What the networks of the matrix games return before training, where the paper's maximum lies there."""
+    for algorithm in ("iql", "vdn", "qmix"):
+        for task, sharing in (("matrix-climbing", SHARED), ("matrix-penalty-100", INDEPENDENT)):
+            table = ours(task, algorithm, sharing)
+            first = ", ".join(f"{x:.0f}" for x in sorted(table.iloc[0]))
+            last = ", ".join(f"{x:.0f}" for x in sorted(table.iloc[-1]))
+            mean, error = paper("max_return")[task, algorithm, sharing]
+            print(f"{algorithm}, {task}, {SHARING[sharing]}: before training {first}; at the end {last}; ", end="")
+            print(f"the paper's maximum {mean:.2f} ± {error:.2f}")
+
+
+def impossible() -> None:
+    """Cells of the paper in which the average over training is above the maximum."""
+    averages, maxima = paper("average_return"), paper("max_return")
+    names: dict[tuple[str, str], list[str]] = {}
+    for task, algorithm, sharing in maxima:
+        average, maximum = averages[task, algorithm, sharing][0], maxima[task, algorithm, sharing][0]
+        if average > maximum:
+            names.setdefault((sharing, task), []).append(f"{algorithm} {average:.2f} over {maximum:.2f}")
+    for (sharing, task), cells in names.items():
+        print(f"{task}, {SHARING[sharing]}: {', '.join(cells)}")
+    print(f"{sum(map(len, names.values()))} cells")
+
+
+def exchanged() -> None:
+    """MAA2C on Tag in the paper, with and without sharing, and the test against the best of either table."""
+    averages, maxima = paper("average_return"), paper("max_return")
+    both = {sharing: maxima["mpe-tag", "maa2c", sharing] for sharing in SHARING}
+    for sharing, words in SHARING.items():
+        (maximum, error), (average, its_error) = (table["mpe-tag", "maa2c", sharing] for table in (maxima, averages))
+        print(f"{words}: maximum {maximum:.2f} ± {error:.2f}, average {average:.2f} ± {its_error:.2f}")
+    for sharing, words in SHARING.items():
+        best = max(
+            mean_and_error for (task, _, its), mean_and_error in maxima.items() if (task, its) == ("mpe-tag", sharing)
+        )
+        for name, own in (
+            ("printed", both[sharing]),
+            ("exchanged", both[INDEPENDENT if sharing == SHARED else SHARED]),
+        ):
+            spreads = [error * np.sqrt(5) / 2 for _, error in (own, best)]
+            p = ttest_ind_from_stats(own[0], spreads[0], 5, best[0], spreads[1], 5).pvalue
+            print(f"{words}, as {name}: against the best p = {p:.3f}")
+    odd = [
+        f"{algorithm} {mean:.2f}"
+        for (task, algorithm, _), (mean, _) in maxima.items()
+        if task == "mpe-tag" and round(mean * 100) % 2
+    ]
+    print(f"maxima on Tag that are no multiple of 10 / 500: {', '.join(odd)}")
+
+
+def beside_the_paper(evaluations: pd.DataFrame, task: str, algorithm: str) -> str:
+    """Our maximum and average with sharing, and the seeds' own averages, in the paper's form."""
+    curve = curves(evaluations, task, algorithm)
+    own = ", ".join(f"{x:.2f}" for x in curve.mean())
+    return f"maximum {curve.mean(axis='columns').max():.2f}, average {own}"
+
+
+def papers(task: str, algorithm: str) -> str:
+    """The paper's maximum and average with sharing."""
+    (maximum, error), (average, its_error) = (
+        paper(name)[task, algorithm, SHARED] for name in ("max_return", "average_return")
+    )
+    return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
+
+
+def padding() -> None:
+    """MADDPG in foraging, beside the paper's."""
+    counted = report().counted
+    for task in claims.SETS["lbf"]:
+        cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg")]
+        agree = [
+            name.split()[0]
+            for metric, name in agreement.METRICS.items()
+            if metric in {*cells.loc[cells["agrees"], "metric"]}
+        ]
+        said = f"agrees: {' and '.join(agree) or 'neither'}" if len(cells) else "no target"
+        print(f"{task}: {beside_the_paper(report().shown, task, 'maddpg')}; {papers(task, 'maddpg')}; {said}")
+
+
+def opponents() -> None:
+    """The tasks against trained opponents: our runs against the paper's and against ours, beside the paper's values."""
+    there = [(words, evaluations) for words, evaluations in (("its", report().shown), ("our", report().against_own))]
+    for task, algorithm in itertools.product(TRAINED_AGAINST, ON_POLICY + OFF_POLICY):
+        found = [papers(task, algorithm)]
+        for whose, evaluations in there:
+            if len(curves(evaluations, task, algorithm)):
+                found.append(f"against {whose} opponent {beside_the_paper(evaluations, task, algorithm)}")
+        print(f"{task}, {algorithm}: {'; '.join(found)}")
+
+
+def probes(files: Iterable[str] = ()) -> None:
+    """What scripted teams earn against the opponents of this repository, or against the networks in these files."""
+    import train_opponents
+
+    import envs
+    from envs.families import mpe
+
+    networks = [*map(Path, files)] or [mpe.OPPONENTS / f"{task}.npz" for task in TRAINED_AGAINST]
+    for task, network in zip(TRAINED_AGAINST, networks):
+        settings = {**envs.task(f"{task}-selfplay").settings, "selfplay": False}
+        for name, probe in train_opponents.PROBES[task].items():
+            env = mpe.Env(task, train_opponents.EPISODES, 0, False, **settings, opponent=network)
+            print(f"{task}, {name}: {train_opponents.mean_return(env, probe.act):.2f}")
+
+
+def words() -> None:
+    """Speaker-Listener: where the seeds end, and which five seeds the paper's IPPO and IA2C could be."""
+    for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
+        for seed, curve in ours("mpe-speaker-listener", algorithm).items():
+            steps = report().shown
+            steps = steps[(steps["task"] == "mpe-speaker-listener") & (steps["algorithm"] == algorithm)]
+            below = curve.index[curve < -18]
+            last = steps[(steps["seed"] == seed) & (steps["point"] == below[-1])]["timestep"].iloc[0]
+            print(
+                f"{algorithm}, seed {seed}: below -18 for the last time at {last / 1e6:.1f} million steps; "
+                f"the last ten points {curve[-10:].mean():.1f}"
+            )
+    for algorithm in ("ippo", "ia2c"):
+        mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
+        x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
+        print(f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}")
+
+
+def standardised() -> None:
+    """What a long victory and a short defeat are worth on smaclite-3s_vs_5z-sc2, with rewards as they are and
+    standardised by the mean and the standard deviation of the defeats' steps."""
+    import battles
+
+    import envs
+
+    rewards = {}
+    for name, policy in (("a short defeat", battles.attack_nearest), ("a long victory", battles.kite)):
+        env: Any = envs.make("smaclite-3s_vs_5z-sc2", 100, seed=0)
+        env.reset()
+        rng, steps, going = np.random.default_rng(0), [], np.ones(100, bool)
+        while going.any():
+            _, reward, terminated, truncated, _ = env.step(policy(env, rng))
+            steps.append(np.where(going, reward, np.nan))
+            going = ~(terminated | truncated)
+        rewards[name] = np.array(steps, float)  # [time, battle], NaN after the end
+    played = rewards["a short defeat"][~np.isnan(rewards["a short defeat"])]
+    for name, x in rewards.items():
+        discount = 0.99 ** np.arange(len(x))[:, None]
+        worth = [np.nansum(discount * y, axis=0).mean() for y in (x, (x - played.mean()) / played.std(ddof=1))]
+        print(
+            f"{name}: return {np.nansum(x, axis=0).mean():.1f} in {(~np.isnan(x)).sum(axis=0).mean():.0f} steps, "
+            f"discounted {worth[0]:.1f}, standardised and discounted {worth[1]:.1f}"
+        )
+    shown = report().shown
+    curve = shown[(shown["task"] == "smaclite-3s_vs_5z-sc2") & (shown["algorithm"] == "qmix") & (shown["seed"] == 0)]
+    last = curve.sort_values("point").iloc[-1]
+    print(
+        f"qmix, seed 0: return {last['return_mean']:.1f} in {last['episode_length']:.0f} steps at the end, "
+        f"{last['dead_allies']:.1f} of its 3 units dead; at its best {curve['return_mean'].max():.1f}; ",
+        end="",
+    )
+    print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", SHARED]))
+
+
+def parted() -> None:
+    """The claims that the paper's tables support and our results do not, with the figures of both."""
+    for claim, theirs, here in report().verdicts():
+        if (theirs.verdict, here.verdict) == (claims.HOLDS, claims.FAILS):
+            print(f"{claim.sentence}\n  the paper: {theirs.figures}\n  ours: {here.figures}")
+
+
+PARTS: dict[str, Callable[..., None]] = {
+    f.__name__: f
+    for f in (
+        *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding),
+        *(standardised, opponents, probes, words, parted),
+    )
+}
+
+
+def write_page() -> None:
+    """Puts the present figures into the page."""
+
+    def block(shown: re.Match[str]) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            PARTS[shown[2]](*[[]] * (shown[2] == "probes"))
+        return f"{shown[1]}{printed.getvalue()}```"
+
+    text = PAGE.read_text(encoding="utf-8")
+    command = r"(\$ python tools/paper_run_again\.py (\w+)\n).*?```"
+    PAGE.write_text(re.sub(command, block, text, flags=re.DOTALL), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["page"]:
+        write_page()
+        sys.exit()
+    if len(sys.argv) < 2 or sys.argv[1] not in PARTS or (len(sys.argv) > 2 and sys.argv[1] != "probes"):
+        sys.exit(__doc__)
+    PARTS[sys.argv[1]](*[sys.argv[2:]] * (sys.argv[1] == "probes"))
