@@ -7,6 +7,7 @@ writes into the output folder
     RESULTS.md     tables, figures and claims
     figures/       the figures, PNG and SVG
     tables.csv     the cells of all tables, ours and the paper's
+    evaluations.csv.gz     every evaluation of every run, one row each; not in git, which each report would make larger
 
 and, where the output is this folder, the short version into the repository's README.md, between two markers.
 `--marl-eval` also writes the evaluations in marl-eval's JSON, for other programs.
@@ -17,6 +18,7 @@ prints the variants that a search has run (`benchmark/README.md`), the best firs
 """
 
 import argparse
+import gzip
 import hashlib
 import itertools
 import json
@@ -54,6 +56,10 @@ from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
+EVALUATION_COLUMNS = [
+    *("task", "family", "algorithm", "sharing", "setting", "total_timesteps", "seed", "timestep"),
+    *("return", "return_std", "episode_length", "cpu_seconds", "commit"),
+]
 
 
 class Report:
@@ -388,6 +394,16 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
     return made
 
 
+def evaluations_csv(evaluations: pd.DataFrame) -> str:
+    """Every evaluation of every run as CSV, for a reader's own analysis.
+
+    setting: the flags that differ from the paper's, as JSON; return and return_std: mean and standard deviation over an
+    evaluation's episodes; cpu_seconds: of the run up to there; commit: with which the run was made.
+    """
+    table = evaluations.rename(columns={"return_mean": "return"}).sort_values([*KEY, "seed", "point"])
+    return table.to_csv(columns=EVALUATION_COLUMNS, index=False, float_format="%.6g", lineterminator="\n")
+
+
 def between_markers(path: Path, text: str) -> str:
     """The file's text with `text` between the markers. Raises ValueError where the file lacks them."""
     whole = path.read_text(encoding="utf-8")
@@ -425,6 +441,7 @@ def main() -> None:
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():
             runs.write_whole(path, text)
+        (args.output / "evaluations.csv.gz").write_bytes(gzip.compress(evaluations_csv(report.evaluations).encode()))
     except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
         parser.error(str(error))
     print(f"The report is in {args.output}. Texts: {len(texts)}. Figures: {len(report.figures())}.")

@@ -175,8 +175,9 @@ def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
 def load(results: Path = RESULTS) -> pd.DataFrame:
     """All evaluations, a row for each task, algorithm, sharing, setting, seed and point.
 
-    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets.
-    Statistics that a family has beyond the return are columns of their own, NaN elsewhere.
+    setting is `changed` as text (`json.loads` gives it back); total_timesteps and paper_timesteps are budgets; commit
+    is that with which the seed was run. Statistics that a family has beyond the return are columns of their own, NaN
+    elsewhere.
     """
     tables = []
     for file in sorted(results.glob("*/*.json")):
@@ -192,6 +193,7 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
             "setting": setting_name(settings["changed"]),
             "total_timesteps": flags["total_timesteps"],
             "paper_timesteps": settings["paper_timesteps"],
+            "commit": table["seed"].map({int(k): origin.get("commit") for k, origin in settings["seeds"].items()}),
         }
         tables.append(table.assign(**columns))
     if not tables:

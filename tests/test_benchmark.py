@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import io
 import itertools
 import json
 import os
@@ -789,6 +790,18 @@ def test_the_report_is_up_to_date():
         with Image.open(BENCHMARK / "figures" / f"{name}.png") as image:
             assert image.info["Source"] == made.digest, how
     assert {path.stem for path in (BENCHMARK / "figures").glob("*.png")} == made.figures().keys(), how
+
+
+def test_all_evaluations_are_one_table_for_pandas(tmp_path):
+    store.collect(make_run(tmp_path / "a", seed=0), tmp_path / "results")
+    store.collect(make_run(tmp_path / "b", seed=1, returns=(3.0, 1 / 3)), tmp_path / "results")
+    text = report.evaluations_csv(store.load(tmp_path / "results"))
+    read = pd.read_csv(io.StringIO(text))
+    assert list(read) == report.EVALUATION_COLUMNS
+    assert read["seed"].tolist() == [0, 0, 1, 1] and read["timestep"].tolist() == [0, 2_500_000] * 2
+    assert read["return"].tolist() == [0.0, 10.5, 3.0, 0.333333]
+    constant = read[["task", "algorithm", "sharing", "setting", "commit"]].drop_duplicates()
+    assert constant.values.tolist() == [["matrix-climbing", "mappo", "shared", "{}", "abc"]]
 
 
 def test_the_text_around_the_markers_stays(tmp_path):

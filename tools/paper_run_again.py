@@ -28,6 +28,7 @@ import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark import agreement, claims
@@ -85,7 +86,7 @@ def seeds() -> None:
 
 def updates() -> None:
     """How near the scripts' updates are to those recorded with EPyMARL: the bounds of the tests."""
-    from test_algos_recorded import TOLERANCES
+    from check_exercise import TOLERANCES
 
     for name, (weights, losses) in TOLERANCES.items():
         with np.load(ROOT / "tests/data/updates" / f"{name}.npz") as file:

@@ -1,0 +1,127 @@
+"""An algorithm of one's own beside another: the difference, its test, what may be claimed, and the page's way to it."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from scipy.stats import ttest_ind
+from scripts import ROOT
+
+from benchmark import compare
+from benchmark.store import RESULTS
+
+
+def test_the_interval_is_that_of_students_t_test():
+    mine, other = pd.Series([0.5, 0.9, 0.7, 0.65]), pd.Series([0.3, 0.45, 0.2])
+    found = compare.difference(mine, other, 0.05)
+    expected = ttest_ind(mine, other).confidence_interval(0.95)
+    assert found.value - found.half_width == pytest.approx(expected.low)
+    assert found.value + found.half_width == pytest.approx(expected.high)
+    assert compare.difference(mine, other, 0.01).half_width > found.half_width
+
+
+def test_a_single_seed_has_the_others_spread():
+    mine = pd.Series([1.0, 2.0, 3.0])
+    found = compare.difference(mine, pd.Series([0.0]), 0.05)
+    assert found.value == 2.0
+    assert found.half_width == pytest.approx(4.302653 * np.sqrt(1 / 3 + 1))  # 2 degrees of freedom, deviation 1
+    assert np.isinf(compare.difference(mine[:1], mine[1:2], 0.05).half_width)
+
+
+@pytest.mark.parametrize(
+    "value, half_width, said",
+    [
+        (
+            0.3,
+            0.1,
+            "You may claim: on a task, with these flags and this budget, mine has a higher average return than ",
+        ),
+        (0.3, 0.1, "by 0.300 (between 0.200 and 0.400)"),
+        (-0.3, 0.1, "mine has a lower average return than mappo, by 0.300 (between 0.200 and 0.400)"),
+        (0.3, 0.4, "No difference may be claimed on a task: it lies between -0.100 and +0.700."),
+        (0.0, 0.0, "No difference may be claimed"),
+        (0.3, np.inf, "Nothing may be claimed on a task: one seed each"),
+    ],
+)
+def test_claims(value, half_width, said):
+    assert said in compare.claim(["mine", "mappo"], "a task", compare.Difference(value, half_width))
+
+
+def test_five_percent_are_shared_by_all_comparisons_of_a_page():
+    comparison = compare.Comparison(["qmix", "vdn"], [RESULTS])
+    assert len(comparison.groups) > 10
+    assert comparison.level == 0.05 / len(comparison.groups)
+    assert len(re.findall(r"(?m)^\* ", comparison.page())) == len(comparison.groups)
+
+
+def in_one_sentence(monkeypatch, capsys, *words):
+    monkeypatch.setattr(sys, "argv", ["compare.py", *words])
+    with pytest.raises(SystemExit, match="2"):
+        compare.main()
+    return capsys.readouterr().err
+
+
+def test_wrong_input_ends_in_one_sentence(monkeypatch, capsys, tmp_path):
+    output = ["--output", str(tmp_path / "out")]
+    said = in_one_sentence(monkeypatch, capsys, "mine", "mappo", *output)
+    assert "compare.py: error: there are no results of mine; there are some of coma, ia2c, " in said
+    said = in_one_sentence(monkeypatch, capsys, "mappo", "iql", *output)  # on- and off-policy: other budgets
+    assert said.endswith("error: mappo and iql have no task, sharing, changed flags and budget in common.\n")
+    said = in_one_sentence(monkeypatch, capsys, "mine", "mappo", "--results", str(tmp_path), *output)
+    assert "there are no results in" in said and not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_pages_way(tmp_path):
+    """A copy of the repository in which the page's commands are run, the trainings with a tenth of their steps."""
+    for folder in ("algos", "benchmark"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "teams", "figures"))
+    text = (ROOT / "docs/how-to/compare-mine.md").read_text()
+    small, large = text.split("## At the paper's size")
+    copy, train, show = commands(small)
+    run(tmp_path, copy)
+    [removed], [added] = re.findall(r"(?m)^-( .*\n)", small), re.findall(r"(?m)^\+( .*\n)", small)
+    mine = tmp_path / "algos/mine.py"
+    changed = mine.read_text().replace(removed, added)
+    assert changed != mine.read_text()
+    mine.write_text(changed)
+    run(tmp_path, [word.replace("100000", "10000") for word in train])
+    said = run(tmp_path, show)
+    page = (tmp_path / "my-comparison/comparison.md").read_text()
+    assert said == page + "\n" and page.startswith("# mine and mappo\n\n")
+    assert re.search(r"\* (You may claim|No difference may be claimed)", page)
+    assert page.count("| 3 | ") == 2 and "curves.png" in page
+    with Image.open(tmp_path / "my-comparison/curves.png") as image:
+        assert image.width > 500
+    # The committed results in the place of the baseline's runs.
+    _, train, show = commands(large)
+    (task,) = {word for words in (train, show) for word in words if word.startswith("lbf-")}
+    settings = RESULTS / task / "ippo-shared.json"  # in the place of mine's runs of hours
+    for file in (settings, settings.with_suffix(".csv")):
+        target = tmp_path / "paper-results" / task / file.name.replace("ippo", "mine")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(file.read_text().replace('"algorithm": "ippo"', '"algorithm": "mine"'))
+    run(tmp_path, [word.replace("benchmark/results", str(RESULTS)) for word in show])
+    page = (tmp_path / "paper-comparison/comparison.md").read_text()
+    assert f"| {task}, with parameter sharing | mappo | " in page
+
+
+def commands(text: str) -> list[list[str]]:
+    """The commands of a page's blocks."""
+    found = "".join(re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)).splitlines()
+    return [shlex.split(line) for line in found]
+
+
+def run(folder: Path, words: list[str]) -> str:
+    """What a command says that must succeed."""
+    words = [sys.executable if word == "python" else word for word in words]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout

@@ -1,0 +1,171 @@
+"""The exercises: wrong files are found by their check, in words, and the solutions do what the pages say."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from typing import Any
+
+import pandas as pd
+import pytest
+from scripts import ROOT, load_module
+
+check_exercise = load_module(ROOT / "examples/check_exercise.py")
+plant_fault = load_module(ROOT / "examples/plant_fault.py")
+
+
+@pytest.fixture
+def checked(monkeypatch, capsys):
+    """checked(algorithm, path): the exit code of check_exercise.py and what it says."""
+
+    def here(algorithm, path):
+        monkeypatch.setattr(sys, "argv", ["check_exercise.py", algorithm, str(path)])
+        monkeypatch.setitem(sys.modules, path.stem, None)  # so that afterwards all is as it was
+        code: Any = 0
+        try:
+            check_exercise.main()
+        except SystemExit as end:
+            code = end.code
+        said = capsys.readouterr()
+        return code, said.out + said.err
+
+    return here
+
+
+def changed(path, algorithm, *replacements):
+    """A script with other text in some places, each of which it has once."""
+    text = (ROOT / "algos" / f"{algorithm}.py").read_text(encoding="utf-8")
+    for right, wrong in replacements:
+        assert text.count(right) == 1
+        text = text.replace(right, wrong)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+FOUND = {
+    1: "fc_shared, update 1 of 5: `loss/value` is ",
+    2: "collect: `no_bootstrap` is True after a time-out",
+    3: "fc_shared, update 1 of 5: after it, the weights are off by up to ",
+}
+
+
+@pytest.mark.parametrize("number", FOUND)
+def test_each_planted_fault_is_found(checked, tmp_path, monkeypatch, number):
+    fault = plant_fault.FAULTS[number - 1]
+    path = tmp_path / "faulty.py"
+    monkeypatch.setattr(sys, "argv", ["plant_fault.py", str(number), str(path)])
+    plant_fault.main()
+    original = ROOT / "algos" / f"{fault['script']}.py"
+    assert path.read_text() == changed(tmp_path / "x.py", fault["script"], (fault["right"], fault["wrong"])).read_text()
+    assert checked(fault["script"], original)[0] == 0
+    code, said = checked(fault["script"], path)
+    assert code == 1 and said.startswith(FOUND[number])
+    assert number != 3 or "in the agents' target networks" in said
+    with pytest.raises(SystemExit, match="2"):  # it exists now
+        plant_fault.main()
+
+
+def test_what_differs_first_is_said(checked, tmp_path):
+    path = tmp_path / "mine.py"
+    unclipped = "torch.minimum(ratios * advantages, clipped * advantages)", "ratios * advantages"
+    code, said = checked("mappo", changed(path, "mappo", unclipped))
+    assert code == 1 and "`loss/actor` is" in said
+    code, said = checked("iql", changed(path, "iql", ("    optimiser.step()\n", "    optimiser.step()\n" * 2)))
+    assert code == 1 and "the weights are off by up to" in said and "the optimiser's step" in said
+    code, said = checked("iql", changed(path, "iql", ("* played.unsqueeze(-1)).sum()", ").mean()")))
+    assert code == 1 and "`loss/value` is" in said
+    code, said = checked("iql", changed(path, "iql", ("ended = terminated | truncated", "ended = terminated")))
+    assert code == 1 and "stops: IndexError" in said
+    code, said = checked("qmix", ROOT / "algos/vdn.py")
+    assert code == 1 and "has no attribute 'Mixer'" in said
+    code, said = checked("qmix", tmp_path / "nothing.py")
+    assert code == 2 and said == f"check_exercise: {tmp_path / 'nothing.py'} is no Python file.\n"
+
+
+# --- the page ---
+PAGE = (ROOT / "docs/exercises/index.md").read_text(encoding="utf-8")
+
+
+def task(number):
+    """A task's text, its solution included."""
+    return re.split(r"(?m)^## \d+\. ", PAGE)[number]
+
+
+def blocks(number, language):
+    return re.findall(rf"(?ms)^```{language}\n(.*?)^```", task(number))
+
+
+def run(words, folder):
+    """What a command says that must succeed."""
+    words = [sys.executable if word == "python" else word for word in words]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_there_are_ten_tasks_with_all_that_belongs_to_them():
+    assert len(re.findall(r"(?m)^## \d+\. ", PAGE)) == 10
+    for number in range(1, 11):
+        assert all(task(number).count(part) == 1 for part in ("*Book: ", "**Hand in**", "**Check", "<summary>"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number, original, algorithm", [(1, "iql", "vdn"), (2, "ia2c", "maa2c")])
+def test_a_diff_makes_another_algorithm(checked, tmp_path, number, original, algorithm):
+    replacements = []
+    for diff in blocks(number, "diff"):
+        lines = diff.splitlines(keepends=True)
+        old, new = ("".join(line[1:] for line in lines if line[0] != sign) for sign in "+-")
+        replacements.append((old, new))
+    path = changed(tmp_path / "mine.py", original)
+    code, said = checked(algorithm, path)
+    assert code == 1 and (number != 1 or "`loss/value` is" in said)
+    assert checked(algorithm, changed(path, original, *replacements)) == (
+        0,
+        f"{path}: collect is right, and 5 updates in 4 cases are those of EPyMARL's {algorithm.upper()}.\n",
+    )
+    run(["python", str(path), "--env", "lbf-5x5-2p-1f", "--total-timesteps", "900", "--run-dir", "x"], tmp_path)
+
+
+def test_the_baseline_changes_the_variance_alone():
+    [program] = blocks(4, "python")
+    said = run(["python", "-c", program], ROOT)
+    (mean, before), (same_mean, after) = re.findall("mean (.*), variance (.*)", said)
+    assert mean == same_mean
+    assert f"falls from {before} to {after}." in " ".join(task(4).split())
+
+
+def test_what_grows_with_the_number_of_agents():
+    [program] = blocks(5, "python")
+    found = re.findall(
+        r"(\d+) agents: (\d+) joint actions, parameters (\d+) shared, (\d+) not", run(["python", "-c", program], ROOT)
+    )
+    n, joint, shared, separate = zip(*(map(int, line) for line in found))
+    assert n == (2, 3, 4) and joint == (36, 216, 1296)
+    assert shared[2] < 1.05 * shared[0] and separate[2] > 1.9 * separate[0]
+
+
+@pytest.mark.slow
+def test_qmix_solves_the_two_step_game(tmp_path):
+    qmix, vdn = "".join(blocks(6, "bash")).splitlines()
+    iql = vdn.replace("vdn", "iql")
+    for command, expected in (qmix, 8), (vdn, 7), (iql, 7):
+        folder = tmp_path / command.split()[1].replace("/", "-")
+        run([*shlex.split(command), "--run-dir", str(folder)], ROOT)
+        assert pd.read_csv(folder / "evaluations.csv")["return_mean"].iloc[-1] == expected
+
+
+def test_the_search_says_what_the_solution_says():
+    [command] = blocks(7, "bash")
+    rows = [line for line in run(shlex.split(command), ROOT).splitlines() if "IA2C" in line]
+    assert ["reward_standardisation False" in row for row in rows] == [False] * 6 + [True] * 6
+    assert all(row.split("|")[5].strip() == "3" for row in rows)  # seeds
+
+
+def test_the_failure_is_filmed(tmp_path):
+    [command] = blocks(8, "bash")
+    *words, team = shlex.split(command)
+    shutil.copytree(ROOT / team, tmp_path / "team")
+    said = run([*words, str(tmp_path / "team")], ROOT)
+    assert said.startswith("return_mean 50.000,") and (tmp_path / "team/film.gif").exists()
