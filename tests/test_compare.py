@@ -101,7 +101,7 @@ def test_the_pages_way(tmp_path):
     with Image.open(tmp_path / "my-comparison/curves.png") as image:
         assert image.width > 500
     # The committed results in the place of the baseline's runs.
-    _, train, show = commands(large)
+    _, train, show = commands(large)  # the first is a dry run
     (task,) = {word for words in (train, show) for word in words if word.startswith("lbf-")}
     settings = RESULTS / task / "ippo-shared.json"  # in the place of mine's runs of hours
     for file in (settings, settings.with_suffix(".csv")):
@@ -115,8 +115,8 @@ def test_the_pages_way(tmp_path):
 
 def commands(text: str) -> list[list[str]]:
     """The commands of a page's blocks."""
-    found = "".join(re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)).splitlines()
-    return [shlex.split(line) for line in found]
+    found = "".join(re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)).replace("\\\n", "")
+    return [shlex.split(line) for line in found.splitlines()]
 
 
 def run(folder: Path, words: list[str]) -> str:

@@ -148,7 +148,7 @@ def test_what_grows_with_the_number_of_agents():
 
 @pytest.mark.slow
 def test_qmix_solves_the_two_step_game(tmp_path):
-    qmix, vdn = "".join(blocks(6, "bash")).splitlines()
+    qmix, vdn = "".join(blocks(6, "bash")).replace("\\\n", "").splitlines()
     iql = vdn.replace("vdn", "iql")
     for command, expected in (qmix, 8), (vdn, 7), (iql, 7):
         folder = tmp_path / command.split()[1].replace("/", "-")
