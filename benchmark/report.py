@@ -7,7 +7,7 @@ writes into the output folder
     RESULTS.md     tables, figures and claims
     figures/       the figures, PNG and SVG
     tables.csv     the cells of all tables, ours and the paper's
-    evaluations.csv.gz     every evaluation of every run, one row each
+    evaluations.csv.gz     every evaluation of every run, one row each; not in git, which each report would make larger
 
 and, where the output is this folder, the short version into the repository's README.md, between two markers.
 `--marl-eval` also writes the evaluations in marl-eval's JSON, for other programs.
@@ -56,7 +56,6 @@ from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
-EVALUATIONS = "evaluations.csv.gz"
 EVALUATION_COLUMNS = [
     *("task", "family", "algorithm", "sharing", "setting", "total_timesteps", "seed", "timestep"),
     *("return", "return_std", "episode_length", "cpu_seconds", "commit"),
@@ -401,7 +400,7 @@ def evaluations_csv(evaluations: pd.DataFrame) -> str:
     setting: the flags that differ from the paper's, as JSON; return and return_std: mean and standard deviation over an
     evaluation's episodes; cpu_seconds: of the run up to there; commit: with which the run was made.
     """
-    table = evaluations.sort_values([*KEY, "seed", "point"]).rename(columns={"return_mean": "return"})
+    table = evaluations.rename(columns={"return_mean": "return"}).sort_values([*KEY, "seed", "point"])
     return table.to_csv(columns=EVALUATION_COLUMNS, index=False, float_format="%.6g", lineterminator="\n")
 
 
@@ -442,10 +441,7 @@ def main() -> None:
             plots.save(draw(), args.output / "figures" / name, report.digest)
         for path, text in texts.items():
             runs.write_whole(path, text)
-        packed = gzip.compress(evaluations_csv(report.evaluations).encode(), mtime=0)  # the same table, the same file
-        new = args.output / f"{EVALUATIONS}.new"
-        new.write_bytes(packed)
-        new.replace(args.output / EVALUATIONS)
+        (args.output / "evaluations.csv.gz").write_bytes(gzip.compress(evaluations_csv(report.evaluations).encode()))
     except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
         parser.error(str(error))
     print(f"The report is in {args.output}. Texts: {len(texts)}. Figures: {len(report.figures())}.")

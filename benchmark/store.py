@@ -193,7 +193,7 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
             "setting": setting_name(settings["changed"]),
             "total_timesteps": flags["total_timesteps"],
             "paper_timesteps": settings["paper_timesteps"],
-            "commit": table["seed"].map(lambda seed, of=settings["seeds"]: of[str(seed)].get("commit")),
+            "commit": table["seed"].map({int(k): origin.get("commit") for k, origin in settings["seeds"].items()}),
         }
         tables.append(table.assign(**columns))
     if not tables:

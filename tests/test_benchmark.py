@@ -2,7 +2,6 @@
 
 import csv
 import errno
-import gzip
 import io
 import itertools
 import json
@@ -791,8 +790,6 @@ def test_the_report_is_up_to_date():
         with Image.open(BENCHMARK / "figures" / f"{name}.png") as image:
             assert image.info["Source"] == made.digest, how
     assert {path.stem for path in (BENCHMARK / "figures").glob("*.png")} == made.figures().keys(), how
-    with gzip.open(BENCHMARK / report.EVALUATIONS, "rt", encoding="utf-8") as file:
-        assert file.read() == report.evaluations_csv(made.evaluations), how
 
 
 def test_all_evaluations_are_one_table_for_pandas(tmp_path):

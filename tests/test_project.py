@@ -58,7 +58,7 @@ def test_a_program_of_the_benchmark_says_which_extra_it_needs(monkeypatch, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", ["run", "collect", "report", "time_stepping", "time_training"])
+@pytest.mark.parametrize("program", ["run", "collect", "report", "compare", "time_stepping", "time_training"])
 def test_programs_of_the_benchmark_begin_in_any_folder_and_as_modules(program, tmp_path):
     for command, folder in (([ROOT / "benchmark" / f"{program}.py"], tmp_path), (["-m", f"benchmark.{program}"], ROOT)):
         done = subprocess.run([sys.executable, *command, "--help"], cwd=folder, capture_output=True, text=True)
@@ -66,7 +66,7 @@ def test_programs_of_the_benchmark_begin_in_any_folder_and_as_modules(program, t
 
 
 FLOORS = [{"store"}, {"plan", "measures", "agreement"}, {"campaign", "tables"}, {"cluster", "plots", "claims"}]
-PROGRAMS = {"run", "collect", "report", "time_stepping", "time_training"}
+PROGRAMS = {"run", "collect", "report", "compare", "time_stepping", "time_training"}
 
 
 def test_arrows_between_modules_of_the_benchmark_point_down():
