@@ -501,6 +501,7 @@ def test_nothing_is_cut_at_the_right(site, browser, width):
         for file in sorted(site.glob("**/*.html")):
             visit(browser, file)
             page = file.relative_to(site).as_posix()
+            browser.execute_script("document.querySelectorAll('details').forEach((x) => { x.open = true; })")
             assert until(lambda: browser.execute_script(CUT) == [], 3), (page, browser.execute_script(CUT))
             assert browser.execute_script("return document.documentElement.scrollWidth") <= width, page
     finally:
