@@ -4,7 +4,7 @@
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
 critic, needed in training only, sees the same observation and tells how much reward is still to
 come. So every agent learns as if it were alone, and the others are a part of its world.
---num-envs environments play one episode each. Then critic and policies make --update-epochs
+Each of --num-envs environments plays one episode. Then critic and policies make --update-epochs
 gradient steps each, the policies towards the actions that went better than the critic expected. The
 clipped ratio of probabilities takes away the reason to move far from the policy that gathered the
 experience. V' is an older or a slowly moving copy of the critic V, so that the target does not
@@ -42,7 +42,6 @@ minutes of one core.
 """
 
 from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
-from envs.runs import Team
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -230,7 +229,7 @@ class Batch(NamedTuple):
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
-class SamplingTeam:
+class Team:
     """Agents at play. They draw their actions from their policies, or always take the likeliest."""
 
     def __init__(self, args: Args, agents: nn.Module, rng: torch.Generator, greedy: bool = False):
@@ -386,8 +385,8 @@ def train(args: Args) -> None:
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
     rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
-    run = runs.Run(__file__, args, paper_defaults, env, parts, SamplingTeam, rng)
-    team = SamplingTeam(args, agents, rng)
+    run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
+    team = Team(args, agents, rng)
     storage = new_storage(args, env)
 
     run.evaluate_if_due()  # the first point comes before training
@@ -403,14 +402,14 @@ def train(args: Args) -> None:
 
 
 # --- load ---
-def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> SamplingTeam:
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
     """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
         args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return SamplingTeam(args, agents, torch.Generator().manual_seed(seed), greedy)
+    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,6 @@ minutes of one core. Seeds 1 to 4 end at 1.00.
 """
 
 from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
-from envs.runs import Team
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -225,7 +224,7 @@ class Batch(NamedTuple):
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
-class EpsilonGreedyTeam:
+class Team:
     """Agents at play. Each takes its best action or, with probability epsilon, a random one."""
 
     def __init__(self, args: Args, agents: nn.Module, rng: torch.Generator, greedy: bool = False):
@@ -390,8 +389,8 @@ def train(args: Args) -> None:
         "optimiser": torch.optim.Adam(learning, args.learning_rate, fused=True),
     }
     rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
-    run = runs.Run(__file__, args, paper_defaults, env, parts, EpsilonGreedyTeam, rng)
-    team = EpsilonGreedyTeam(args, agents, rng)
+    run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
+    team = Team(args, agents, rng)
     storage = new_storage(args, env)
     if run.timestep < args.total_timesteps:  # a complete run has no replay any more
         replay = Replay(args, env, storage, run)
@@ -414,14 +413,14 @@ def train(args: Args) -> None:
 
 
 # --- load ---
-def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> EpsilonGreedyTeam:
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
     """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
         args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return EpsilonGreedyTeam(args, agents, torch.Generator().manual_seed(seed), greedy)
+    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ hyperparameters are those of algos/mappo.py; nobody has tuned them for this file
 """
 
 from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
-from envs.runs import Team
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,7 +232,7 @@ class Batch(NamedTuple):
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
 
-class SamplingTeam:
+class Team:
     """Agents at play. They draw their actions from their policies, or always take the likeliest."""
 
     def __init__(self, args: Args, agents: nn.Module, rng: torch.Generator, greedy: bool = False):
@@ -384,8 +383,8 @@ def train(args: Args) -> None:
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
     rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
-    run = runs.Run(__file__, args, paper_defaults, env, parts, SamplingTeam, rng)
-    team = SamplingTeam(args, agents, rng)
+    run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
+    team = Team(args, agents, rng)
     storage = new_storage(args, env)
 
     run.evaluate_if_due()  # the first point comes before training
@@ -401,14 +400,14 @@ def train(args: Args) -> None:
 
 
 # --- load ---
-def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> SamplingTeam:
+def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
     """The trained team of a run, on the CPU; it acts as in evaluations, or always greedily."""
     saved = runs.read_checkpoint(run_dir, Path(__file__).stem)
     with runs.fitting_checkpoint(run_dir):
         args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return SamplingTeam(args, agents, torch.Generator().manual_seed(seed), greedy)
+    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
 
 
 if __name__ == "__main__":

@@ -222,7 +222,7 @@ class TestCollect:
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
-        team, arrays = module.SamplingTeam(args, agents, rng), module.new_storage(args, env)
+        team, arrays = module.Team(args, agents, rng), module.new_storage(args, env)
         module.collect(args, env, team, arrays)  # leaves traces in the arrays that the second must not keep
         batch, returns = module.collect(args, env, team, arrays)
 
@@ -278,7 +278,7 @@ def test_loss_of_the_second_epoch_is_clipped(name):
         parts = {"agents": agents, "critic": critic, "target_critic": module.deepcopy(critic)}
         parts["actor_optimiser"] = torch.optim.Adam(agents.parameters(), lr=0.05)
         parts["critic_optimiser"] = torch.optim.SGD(critic.parameters(), lr=0.0)
-        batch, _ = module.collect(args, env, module.SamplingTeam(args, agents, rng), module.new_storage(args, env))
+        batch, _ = module.collect(args, env, module.Team(args, agents, rng), module.new_storage(args, env))
         before = module.deepcopy(agents)
         losses = module.update(args, parts, batch, 1)
         return args, parts, batch, before, losses

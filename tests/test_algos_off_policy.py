@@ -336,7 +336,7 @@ class TestEpsilon:
         args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, 2, OBS_SIZE, N_ACTIONS)
-        return module.EpsilonGreedyTeam(args, agents, torch.Generator().manual_seed(0))
+        return module.Team(args, agents, torch.Generator().manual_seed(0))
 
     def test_frequencies(self):
         """Of all pairs of actions, in many copies of one situation where the best action of all is not available."""
@@ -380,7 +380,7 @@ class TestEpsilon:
         monkeypatch.setattr(module, "collect", noted)
         run = trained(monkeypatch, name, 7, "matrix-climbing", epsilon_anneal=100, eval_epsilon=0.03)
         assert seen == pytest.approx([1.0, 0.7625, 0.525, 0.2875, 0.05, 0.05, 0.05])
-        assert module.EpsilonGreedyTeam(run.args, run.parts["agents"], run.rng).epsilon == 0.03
+        assert module.Team(run.args, run.parts["agents"], run.rng).epsilon == 0.03
 
 
 # --- replay ---
@@ -433,7 +433,7 @@ class TestReplay:
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
         agents = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS)
-        team = module.EpsilonGreedyTeam(args, agents, torch.Generator())
+        team = module.Team(args, agents, torch.Generator())
         arrays = module.new_storage(args, game)
         run = FakeRun(0)
         run.env, run.path = game, path

@@ -596,7 +596,7 @@ def test_a_team_learns_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
     """The best is 0.9 or so; agents who do not move earn -1."""
     learnt = trained(monkeypatch, "ippo", 250, "own:examples.meeting_numpy", learning_rate=0.001)
     env = envs.make("own:examples.meeting_numpy", 200, seed=9)
-    team = script("ippo").SamplingTeam(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
+    team = script("ippo").Team(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
     figure = runs.evaluate(env, team, 1)["return_mean"]
     print(f"mean return {figure:.2f}")
     assert figure > 0.8

@@ -22,7 +22,7 @@ import rware  # noqa: F401 (registers its environments)
 import torch
 from mpe2 import simple_speaker_listener_v4, simple_spread_v3
 from pettingzoo.sisl import pursuit_v5
-from scripts import NAMES, ROOT, VALUE_BASED, parse, script, trained
+from scripts import NAMES, ROOT, parse, script, trained
 from test_algos_families import few_updates
 from test_algos_runs import command, evaluations, main
 from toys import Queue
@@ -573,7 +573,7 @@ def test_a_team_learns_from_images_of_bytes(monkeypatch: pytest.MonkeyPatch) -> 
     options: Any = {"env_kwargs": "kind='bytes'", "flatten_images": True}
     learnt = trained(monkeypatch, "ippo", 100, "pettingzoo:toy_painted", learning_rate=0.001, **options)
     env = envs.make("pettingzoo:toy_painted", 50, seed=9, **options)
-    team = script("ippo").SamplingTeam(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
+    team = script("ippo").Team(learnt.args, learnt.parts["agents"], torch.Generator().manual_seed(0))
     figure = runs.evaluate(env, team, 1)["return_mean"]
     print(f"mean return {figure:.1f}")
     assert figure > 15
@@ -770,8 +770,7 @@ def untrained_team(name: str, env: envs.VectorEnv, sharing: bool = True) -> Any:
     args = module.Args(network="gru", hidden_dim=8, parameter_sharing=sharing)
     torch.manual_seed(0)
     agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, "gru")
-    team = module.EpsilonGreedyTeam if name in VALUE_BASED else module.SamplingTeam
-    return team(args, agents, torch.Generator().manual_seed(1))
+    return module.Team(args, agents, torch.Generator().manual_seed(1))
 
 
 @pytest.mark.parametrize("name", NAMES)

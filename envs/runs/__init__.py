@@ -53,4 +53,4 @@ from envs.runs.process import (
     with_flags,
 )
 from envs.runs.replay import EpisodeFile
-from envs.runs.run import Run, Team, evaluate, main, own_generator, watch
+from envs.runs.run import Run, evaluate, main, own_generator, watch

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Team(Protocol):
-    """Agents at play. The scripts have two kinds: SamplingTeam and EpsilonGreedyTeam."""
+    """Agents at play, as the class of this name in each script."""
 
     args: Any
 
@@ -57,7 +57,7 @@ def evaluate(env: VectorEnv, team: Team, seed: int) -> dict[str, float]:
 class Run:
     """One run of a script: its evaluations, checkpoints and log. The script's loop says when each has its turn.
 
-        run = Run(__file__, args, paper_defaults, env, parts, SamplingTeam, rng)
+        run = Run(__file__, args, paper_defaults, env, parts, Team, rng)
 
     begins the run, or with --resume goes on from its last checkpoint. Then `timestep` says how many steps of single
     environments were played, and `n_updates` how many updates were made, which the script counts itself.
