@@ -892,11 +892,9 @@ class TestRay:
         (tmp_path / "tmp").mkdir()
         program = """
             import sys, time
-            sys.path.insert(0, sys.argv[1])
-            from pathlib import Path
-            from benchmark import cluster, plan
-            plan.ALGOS = Path("algos")
-            trainer = cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {})
+            sys.path.append(sys.argv[1])
+            from benchmark import cluster
+            trainer = cluster.Trainer("ia2c", ["--pace", "1"], {})
             print(trainer.folder, trainer.process.pid, flush=True)
             time.sleep(60)
         """
@@ -905,7 +903,8 @@ class TestRay:
             assert killed.stdout is not None
             folder, pid = killed.stdout.readline().split()
             killed.kill()
-        trainers = [cluster.Trainer(cluster.pack(), "ia2c", ["--pace", "1"], {}) for _ in range(2)]
+        monkeypatch.syspath_prepend(tmp_path)
+        trainers = [cluster.Trainer("ia2c", ["--pace", "1"], {}) for _ in range(2)]
         try:
             wait_for(lambda: not psutil.pid_exists(int(pid)) or psutil.Process(int(pid)).status() == "zombie")
             assert not Path(folder).exists() and all(trainer.folder.exists() for trainer in trainers)
@@ -1002,9 +1001,12 @@ class TestRay:
         """As where a node's disk is full; it is no lost node, on which it would begin again and again."""
         from benchmark import cluster
 
-        monkeypatch.setattr(cluster, "pack", lambda: b"this is no zip file")
+        def make_folder():
+            raise OSError("No space left on device")
+
+        monkeypatch.setattr(cluster, "make_folder", make_folder)
         assert campaign(monkeypatch, "--ray", nodes[0].address, "--seeds", 1) == 1
-        assert "BadZipFile: File is not a zip file" in capsys.readouterr().out
+        assert "OSError: No space left on device" in capsys.readouterr().out
 
     # Not "auto": it would find the cluster of another test that runs at the same time.
     @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
