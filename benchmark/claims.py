@@ -178,10 +178,6 @@ class Scope:
     place: str
     metric: str
 
-    def tasks(self) -> tuple[str, ...]:
-        """The tasks of a family."""
-        return SETS[self.place]
-
     def at(self, task: str) -> "Scope":
         """The scope of one of its tasks."""
         return Scope(self.view, task, self.metric)
@@ -198,7 +194,7 @@ class Scope:
         """An algorithm's value; in a family the mean of its scaled values."""
         if self.place not in PAPER_FAMILIES:
             return self.cell(algorithm).value
-        return float(np.mean([self.at(task).scaled(algorithm) for task in self.tasks()]))
+        return float(np.mean([self.at(task).scaled(algorithm) for task in SETS[self.place]]))
 
     def __getitem__(self, name: str) -> Any:
         """What a name of an expression stands for."""
@@ -223,11 +219,11 @@ class Scope:
 
     @property
     def shared(self) -> float:
-        return means_with_and_without(self.view, self.tasks())[0]
+        return means_with_and_without(self.view, SETS[self.place])[0]
 
     @property
     def alone(self) -> float:
-        return means_with_and_without(self.view, self.tasks())[1]
+        return means_with_and_without(self.view, SETS[self.place])[1]
 
     def scaled(self, algorithm: str) -> float:
         return position(self.cell(algorithm).value, self.values().values())
@@ -261,7 +257,7 @@ class Scope:
         return own.value == values[highest] or not self.decided(own, self.cell(highest))
 
     def competitive_tasks(self, algorithm: str) -> int:
-        return sum(self.at(task).competitive(algorithm) for task in self.tasks())
+        return sum(self.at(task).competitive(algorithm) for task in SETS[self.place])
 
     def different(self, one: Cell, two: Cell) -> bool | None:
         """Whether two cells are significantly different; None where their seeds are too few to say."""
@@ -394,7 +390,7 @@ class Claim:
         scope, parts = Scope(view, place, self.metric), []
         if "competitive_tasks" in self.named:
             algorithm = next(name for name in self.named if name in ALGORITHMS)
-            tasks = [task for task in scope.tasks() if scope.at(task).competitive(algorithm)]
+            tasks = [task for task in SETS[place] if scope.at(task).competitive(algorithm)]
             return f"{place} ({', '.join(tasks) or 'none'})"
         for name in self.named:
             if name in ALGORITHMS:

@@ -229,7 +229,7 @@ class RayJob:
 
 
 class Connection:
-    """A cluster that was joined: what starts jobs on it, and says how many it has room for."""
+    """A cluster that was joined, and how many jobs it has room for."""
 
     def __init__(self, address: str, jobs: int | None):
         """jobs: how many at most; None: as many as the cluster has cores. InputError where no cluster answers."""
@@ -254,10 +254,6 @@ class Connection:
             socket.create_connection(self.address, ANSWER_SECONDS).close()
         except OSError as error:
             raise ClusterLost(f"The Ray cluster at {':'.join(map(str, self.address))} is lost: {error}.") from None
-
-    def start(self, run: PlannedRun) -> "RayJob":
-        """A job of the run."""
-        return RayJob(run, self)
 
     def places(self) -> int:
         """How many jobs there is room for. Raises ClusterLost."""

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -964,11 +963,10 @@ def test_a_full_disk_leaves_the_old_figures(monkeypatch, tmp_path):
     for suffix in ("svg", "png"):
         (tmp_path / f"a.{suffix}").write_text("old")
 
-    def no_room(path, data):
-        path.open("wb").write(data[:10])
+    def no_room(file):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", no_room)
+    monkeypatch.setattr(os, "fsync", no_room)
     with pytest.raises(OSError, match="No space left"):
         plots.save(plots.panels(1, 1, "x", "y")[0], tmp_path / "a", "source")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.svg": "old", "a.png": "old"}
