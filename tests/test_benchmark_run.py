@@ -343,19 +343,6 @@ class TestPlan:
 
 
 class TestRunning:
-    def test_another_text_of_ones_own_script(self, monkeypatch, capsys, algos):
-        (algos / "own.py").write_text(STAND_IN)
-        words = ["--algorithms", "own", "--seeds", 1]
-        assert campaign(monkeypatch, *words) == 0
-        config = Path("results/matrix-climbing/own-shared.json")
-        settings = json.loads(config.read_text())
-        settings["seeds"]["0"]["script"] = envs.runs.script_hash(algos / "own.py")  # the stand-in does not say it
-        config.write_text(json.dumps(settings))
-        assert campaign(monkeypatch, *words) == 0
-        (algos / "own.py").write_text(f"{STAND_IN}# changed\n")
-        assert campaign(monkeypatch, *words) == 1
-        assert "holds runs of another text of own.py" in capsys.readouterr().out
-
     @pytest.mark.slow
     def test_runs_are_collected_and_then_skipped(self, monkeypatch, capsys):
         words = ["--algorithms", "ia2c", "iql", "--seeds", 2, "--sharing", "both"]
@@ -376,7 +363,10 @@ class TestRunning:
         assert json.loads((folder_of(0) / "config.json").read_text())["omp"] == "1"
 
     def test_what_is_complete_is_collected(self, monkeypatch):
+        """Also a copy without checkpoints."""
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        for path in folder_of(0).glob("*.pt"):
+            path.unlink()
         monkeypatch.setattr(run, "LocalJob", None)  # no run may start
         assert campaign(monkeypatch, "--seeds", 1) == 0
         assert seeds_of("ia2c-shared") == {0: 20.0}
@@ -623,14 +613,6 @@ class TestDamage:
         (directory / "evaluations.csv").unlink()
         assert campaign(monkeypatch, *words) == 1
         assert "replay.bin is gone, so this run cannot go on." in capsys.readouterr().out
-
-    def test_a_copy_without_checkpoints_is_complete(self, monkeypatch):
-        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
-        for path in folder_of(0).glob("*.pt"):
-            path.unlink()
-        logs = keep_logs(monkeypatch)
-        assert campaign(monkeypatch, "--seeds", 1) == 0
-        assert not logs and seeds_of("ia2c-shared") == {0: 20.0}
 
 
 class TestDamagedResults:
