@@ -453,10 +453,6 @@ class TestWrongInput:
         said = self.one_sentence(self.refused(monkeypatch, capsys, "--env", "lbf-15x15-3p-5"))
         assert "lbf-15x15-3p-5f" in said
 
-    @pytest.mark.parametrize("env", ["lbf-2x2-9p-9f", "lbf-8x8-0p-2f", "matrix-penalty-x"])
-    def test_impossible_sizes(self, monkeypatch, capsys, env):
-        assert env in self.one_sentence(self.refused(monkeypatch, capsys, "--env", env))
-
     @pytest.mark.parametrize("flags", [["--network", "lstm"], ["--no-such-flag", "1"], ["--seed", "one"]])
     def test_what_the_flags_do_not_allow(self, monkeypatch, capsys, flags):
         assert flags[0] in self.refused(monkeypatch, capsys, "--env", "matrix-climbing", *flags)

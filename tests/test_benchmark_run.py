@@ -533,11 +533,6 @@ class TestRunning:
             assert capsys.readouterr().err.startswith("run: [Errno ")
         assert not list(Path().rglob("log-*")) and not list(Path().rglob("seed*"))
 
-    def test_without_a_place_for_messages(self, monkeypatch):
-        """As `2>&-` leaves it."""
-        monkeypatch.setattr(sys, "stderr", None)
-        assert campaign(monkeypatch, "--seeds", 1) == 0
-
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file that is always full")
     def test_results_on_a_full_disk_stay_whole(self, monkeypatch, capsys):
         assert campaign(monkeypatch, "--seeds", 1) == 0
@@ -767,11 +762,6 @@ class TestDryRun:
         assert campaign(monkeypatch, "--dry-run", "--seeds", 2, "--", "--total-timesteps", steps) == 0
         said = capsys.readouterr().out
         assert "seed 1: begun" in said and "2 runs, 1.75 core hours" in said
-
-    def test_nothing_is_left(self, monkeypatch, capsys):
-        assert campaign(monkeypatch, "--seeds", 1) == 0
-        assert campaign(monkeypatch, "--seeds", 1, "--dry-run") == 0
-        assert "Nothing is left to run" in capsys.readouterr().out
 
 
 class TestRay:

@@ -204,7 +204,7 @@ def test_a_copied_environment_goes_on_by_itself(name: str, duplicate: Callable[[
 # --- Randomness --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", TASKS[1:])
+@pytest.mark.parametrize("name", [*TASKS[1:], "mpe-speaker-listener", "mpe2-spread", "mpe-tag"])
 def test_an_episode_depends_on_seed_index_and_number_alone(name: str) -> None:
     few, many = envs.make(name, 2, seed=5), envs.make(name, 7, seed=5)
     seen = []
