@@ -173,7 +173,7 @@ def names_here(name: str) -> list[str]:
     return []
 
 
-NUMBER = "(0|[1-9][0-9]*)"
+NUMBER = "(0|[1-9][0-9]{0,15})"
 
 
 def parse_matrix(name: str) -> Task | None:

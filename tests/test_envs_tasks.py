@@ -197,7 +197,7 @@ def test_a_name_in_other_letters_is_meant_exactly(name: str) -> None:
     assert str(error.value).startswith(f"unknown task {name!r}; did you mean {name.lower()}? ")
 
 
-@pytest.mark.parametrize("name", ["", "hello", "lbf", "rware", "matrix", "8x8", "\ud800"])
+@pytest.mark.parametrize("name", ["", "hello", "lbf", "rware", "8x8", "\ud800", "matrix-penalty-" + "9" * 5000])
 def test_unknown_names_far_from_all_offer_none(name: str) -> None:
     with pytest.raises(envs.InputError) as error:
         envs.task(name)
