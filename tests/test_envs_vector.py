@@ -262,9 +262,7 @@ def test_sizes_out_of_range() -> None:
         envs.make(TASKS[0], num_envs=0)
 
 
-@pytest.mark.parametrize(
-    ("name", "num_envs"), [("lbf-8x8-2p-2f", 10**13), ("matrix-climbing", 2**63), ("lbf-3000x3000-2000000p-2f", 1)]
-)
+@pytest.mark.parametrize(("name", "num_envs"), [("lbf-8x8-2p-2f", 10**13), ("lbf-3000x3000-2000000p-2f", 1)])
 def test_what_does_not_fit_into_memory(name: str, num_envs: int) -> None:
     with pytest.raises(envs.InputError, match=f"{name} with num_envs={num_envs} does not fit into this machine's mem"):
         envs.make(name, num_envs)
