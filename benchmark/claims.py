@@ -522,25 +522,19 @@ def one_verdict(
 ) -> Verdict:
     """The verdict on one claim; tables: `completed`; few: the cells with fewer than five seeds."""
     found = claim.judge(view)
-    figures = found.figures or claim.text(view, found.outcomes)
+    found = replace(found, figures=found.figures or claim.text(view, found.outcomes))
     needed = set(claim.cells())
     carrying = needed & few
-    if found.verdict == UNKNOWN or not carrying:
-        rests_on = ""
-        if found.verdict == UNKNOWN:
-            absent = sum(key not in view.cells for key in needed)
-            rests_on = (
-                f"missing cells: {absent}"
-                if absent
-                else cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
-            )
-        return replace(found, figures=figures, rests_on=rests_on)
+    if found.verdict == UNKNOWN:
+        absent = sum(key not in view.cells for key in needed)
+        missing = cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
+        return replace(found, rests_on=f"missing cells: {absent}" if absent else missing)
+    if not carrying:
+        return found
     drawn = [claim.judge(table) for table in tables]
     stays = float(np.mean([each.verdict == found.verdict for each in drawn]))
     if stays >= 1 - TURNED:
-        return replace(
-            found, figures=figures, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays
-        )
+        return replace(found, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays)
     turning = {
         place
         for place, holds in found.outcomes.items()
@@ -549,7 +543,7 @@ def one_verdict(
     tasks = {task for place in turning for task in SETS.get(place, (place,))}
     deciding = shown(claim, view, {key for key in carrying if key[2] in tasks} or carrying)
     words = f"{found.verdict} as it is, and in {100 * stays:.0f} % of the completed tables; "
-    return replace(found, verdict=CLOSE, figures=figures, rests_on=cells_text(words, deciding, hours), stays=stays)
+    return replace(found, verdict=CLOSE, rests_on=cells_text(words, deciding, hours), stays=stays)
 
 
 def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
