@@ -88,7 +88,7 @@ class Campaign:
         places: Callable[[], int],
     ):
         self.plan, self.folder, self.results, self.start, self.places = runs, folder, results, start, places
-        self.waiting: deque[PlannedRun] = deque()
+        self.waiting = deque(runs)
         self.jobs: dict[Path, tuple[PlannedRun, Job]] = {}
         self.done: set[Path] = set()
         self.failed: dict[Path, str] = {}

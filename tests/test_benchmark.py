@@ -1009,7 +1009,7 @@ def test_wrong_input_of_training_opponents_is_named(monkeypatch, run, tmp_path, 
 
 @pytest.mark.parametrize("program", [collect, report, time_stepping, time_training, train_opponents])
 def test_ctrl_c_ends_all_quietly(monkeypatch, run, program):
-    def interrupt(*_):
+    def interrupt(**_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(program.argparse, "ArgumentParser", interrupt)
