@@ -225,14 +225,11 @@ class Campaign:
     def show(self) -> None:
         """Says how far the campaign and the runs that are being made are."""
         self.shown = time.monotonic()
-        rows = [table_row(run) for run, _ in self.jobs.values()]
-        say("\n".join([time.strftime("%H:%M:%S ") + self.summary(), HEADER, *rows]))
-
-    def summary(self) -> str:
-        """One line."""
         failed = f", {len(self.failed)} failed" if self.failed else ""
         stopping = "; stopping at the next checkpoints" if self.stopping else ""
-        return f"{len(self.done)} of {len(self.plan)} runs in the results, {len(self.jobs)} running{failed}{stopping}"
+        done = f"{len(self.done)} of {len(self.plan)} runs in the results"
+        say(f"{time.strftime('%H:%M:%S')} {done}, {len(self.jobs)} running{failed}{stopping}")
+        say("\n".join([HEADER, *(table_row(run) for run, _ in self.jobs.values())]))
 
     def report(self) -> int:
         """Says how it ended; gives the exit code."""

@@ -39,11 +39,12 @@ The same expressions judge the paper's own tables, since not every sentence agre
 import ast
 import csv
 import math
-import operator
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import CodeType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,11 +115,7 @@ class Verdict:
     stays: float = 1.0
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# What claims look at
-# ---------------------------------------------------------------------------------------------------------------------
-
-
+# --- what claims look at ---
 def one_game(cells: pd.DataFrame) -> pd.DataFrame:
     """The cells of one game for each of the paper's tasks, so that no comparison mixes two: of that which more
     algorithms were run on, the paper's own or the one that stands in for it; the paper's own, where it is the same."""
@@ -181,10 +178,6 @@ class Scope:
     place: str
     metric: str
 
-    def tasks(self) -> tuple[str, ...]:
-        """The tasks of a family."""
-        return SETS[self.place]
-
     def at(self, task: str) -> "Scope":
         """The scope of one of its tasks."""
         return Scope(self.view, task, self.metric)
@@ -201,15 +194,15 @@ class Scope:
         """An algorithm's value; in a family the mean of its scaled values."""
         if self.place not in PAPER_FAMILIES:
             return self.cell(algorithm).value
-        return float(np.mean([self.at(task).scaled(algorithm) for task in self.tasks()]))
+        return float(np.mean([self.at(task).scaled(algorithm) for task in SETS[self.place]]))
 
-    def name(self, name: str) -> Any:
-        """What a name stands for."""
+    def __getitem__(self, name: str) -> Any:
+        """What a name of an expression stands for."""
         if name in ALGORITHMS:
             return self.value(name)
         if name in SETS:
             return self.place == name or self.place in SETS[name]
-        return getattr(self, name)
+        return OF_NUMBERS[name] if name in OF_NUMBERS else getattr(self, name)
 
     # --- names and functions, as the head of this module defines them ---
     @property
@@ -226,11 +219,11 @@ class Scope:
 
     @property
     def shared(self) -> float:
-        return means_with_and_without(self.view, self.tasks())[0]
+        return means_with_and_without(self.view, SETS[self.place])[0]
 
     @property
     def alone(self) -> float:
-        return means_with_and_without(self.view, self.tasks())[1]
+        return means_with_and_without(self.view, SETS[self.place])[1]
 
     def scaled(self, algorithm: str) -> float:
         return position(self.cell(algorithm).value, self.values().values())
@@ -264,7 +257,7 @@ class Scope:
         return own.value == values[highest] or not self.decided(own, self.cell(highest))
 
     def competitive_tasks(self, algorithm: str) -> int:
-        return sum(self.at(task).competitive(algorithm) for task in self.tasks())
+        return sum(self.at(task).competitive(algorithm) for task in SETS[self.place])
 
     def different(self, one: Cell, two: Cell) -> bool | None:
         """Whether two cells are significantly different; None where their seeds are too few to say."""
@@ -283,75 +276,27 @@ class Scope:
         return found
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Expressions
-# ---------------------------------------------------------------------------------------------------------------------
-
+# --- expressions ---
 NAMES = ("best", "improved", "shared", "alone")
-OF_NUMBERS: dict[str, Callable[..., Any]] = {"max": max, "min": min, "abs": abs}
+OF_NUMBERS = {"max": max, "min": min, "abs": abs}
 OF_ALGORITHMS = {
     *("scaled", "lower", "competitive", "similar", "significantly_above", "matches_best", "competitive_tasks")
 }
 BOTH_SHARINGS = {"improved", "shared", "alone"}
 OF_ALL_NINE = {*NAMES, *OF_ALGORITHMS} - {"significantly_above"}
-OPERATORS: dict[type, Callable[..., Any]] = {
-    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
-    **{ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge},
-    **{ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Not: operator.not_, ast.USub: operator.neg},
-}
-Evaluates = Callable[[Scope], Any]
 
 
-def parse(expression: str) -> tuple[ast.expr, Evaluates]:
-    """An expression, and what evaluates it in a scope. Raises ValueError for anything that the module's docstring does
-    not list: nothing else of Python is ever run."""
-    try:
-        tree = ast.parse(expression, mode="eval").body
-    except SyntaxError as error:
-        raise ValueError(f"{expression!r} is no expression: {error.msg}") from error
-    return tree, evaluates(tree)
+def compiled(expression: str) -> CodeType:
+    """An expression as `eval` takes it with a `Scope`. What stands in the brackets of a function of `OF_ALGORITHMS`
+    are names, not values."""
+    tree = ast.parse(expression, mode="eval")
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        if ast.unparse(call.func) in OF_ALGORITHMS:
+            call.args = [ast.copy_location(ast.Constant(ast.unparse(name)), name) for name in call.args]
+    return compile(tree, expression, "eval")
 
 
-def evaluates(node: ast.expr) -> Evaluates:
-    """What evaluates one part of an expression."""
-    match node:
-        case ast.Constant(value=int() | float() as number):
-            return lambda scope: number
-        case ast.Name(id=name) if name in (*ALGORITHMS, *SETS, *NAMES):
-            return lambda scope: scope.name(name)
-        case ast.BoolOp(op=ast.And() | ast.Or() as which, values=nodes):
-            parts, combine = [evaluates(part) for part in nodes], all if isinstance(which, ast.And) else any
-            return lambda scope: combine(part(scope) for part in parts)
-        case ast.UnaryOp(op=sign, operand=inner) if type(sign) in OPERATORS:
-            function, operand = OPERATORS[type(sign)], evaluates(inner)
-            return lambda scope: function(operand(scope))
-        case ast.BinOp(left=left, op=sign, right=right) if type(sign) in OPERATORS:
-            return applies(OPERATORS[type(sign)], [left, right])
-        case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in OPERATORS:
-            return applies(OPERATORS[type(sign)], [left, right])
-        case ast.IfExp(test=test, body=body, orelse=otherwise):
-            condition, one, two = map(evaluates, (test, body, otherwise))
-            return lambda scope: one(scope) if condition(scope) else two(scope)
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_NUMBERS:
-            return applies(OF_NUMBERS[name], arguments)
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_ALGORITHMS:
-            algorithms = [each.id for each in arguments if isinstance(each, ast.Name) and each.id in ALGORITHMS]
-            if len(algorithms) == len(arguments):
-                return lambda scope: getattr(scope, name)(*algorithms)
-    raise ValueError(f"{ast.unparse(node)!r} is nothing that a claim can say")
-
-
-def applies(function: Callable[..., Any], nodes: list[ast.expr]) -> Evaluates:
-    """What applies a function to the values of these parts."""
-    parts = [evaluates(part) for part in nodes]
-    return lambda scope: function(*(part(scope) for part in parts))
-
-
-# ---------------------------------------------------------------------------------------------------------------------
-# Claims
-# ---------------------------------------------------------------------------------------------------------------------
-
-
+# --- claims ---
 @dataclass(frozen=True)
 class Claim:
     """A line of benchmark/paper/claims.csv."""
@@ -365,16 +310,14 @@ class Claim:
 
     @cached_property
     def places(self) -> tuple[str, ...]:
-        """The tasks, or the families. ValueError for a name that is neither a set nor a task."""
+        """The tasks, or the families."""
         words = self.tasks.split()
         if words[0] == "families":
             return tuple(words[1:])
         found: dict[str, None] = {}
         for word in words:
             name = word.removeprefix("-")
-            tasks = SETS.get(name) or (name,)
-            if not set(tasks) <= set(TASKS):
-                raise ValueError(f"{name!r} is no set of tasks and no task of the paper")
+            tasks = SETS.get(name, (name,))
             if word == name:
                 found |= dict.fromkeys(tasks)
             else:
@@ -382,15 +325,14 @@ class Claim:
         return tuple(found)
 
     @cached_property
-    def parsed(self) -> tuple[ast.expr, Evaluates]:
-        """The expression, and what evaluates it."""
-        return parse(self.expression)
+    def code(self) -> CodeType:
+        """The expression, `compiled`."""
+        return compiled(self.expression)
 
     @cached_property
     def named(self) -> list[str]:
-        """The names in the expression, in order, each once."""
-        nodes = [node for node in ast.walk(self.parsed[0]) if isinstance(node, ast.Name)]
-        return list(dict.fromkeys(node.id for node in sorted(nodes, key=lambda node: node.col_offset)))
+        """The words in the expression, in order, each once."""
+        return list(dict.fromkeys(re.findall("[a-z][a-z0-9_]*", self.expression)))
 
     def enough(self) -> int:
         """On how many tasks or families it must hold."""
@@ -421,8 +363,9 @@ class Claim:
                 return Verdict(UNKNOWN, "")
         outcomes: dict[str, bool | None] = {}
         for place in self.places:
+            scope: Any = Scope(view, place, self.metric)
             try:
-                outcomes[place] = bool(self.parsed[1](Scope(view, place, self.metric)))
+                outcomes[place] = bool(eval(self.code, {}, scope))
             except NotMeasured:
                 outcomes[place] = None
         return Verdict(verdict_of(outcomes, self.enough()), "", outcomes)
@@ -447,13 +390,13 @@ class Claim:
         scope, parts = Scope(view, place, self.metric), []
         if "competitive_tasks" in self.named:
             algorithm = next(name for name in self.named if name in ALGORITHMS)
-            tasks = [task for task in scope.tasks() if scope.at(task).competitive(algorithm)]
+            tasks = [task for task in SETS[place] if scope.at(task).competitive(algorithm)]
             return f"{place} ({', '.join(tasks) or 'none'})"
         for name in self.named:
             if name in ALGORITHMS:
-                parts.append(f"{name.upper()} {scope.name(name):.2f}")
+                parts.append(f"{name.upper()} {scope[name]:.2f}")
             elif name in NAMES:
-                parts.append(f"{name} {scope.name(name):{'d' if name == 'improved' else '.2f'}}")
+                parts.append(f"{name} {scope[name]:{'d' if name == 'improved' else '.2f'}}")
         if {"competitive", "matches_best", "scaled"} & {*self.named} and place not in PAPER_FAMILIES:
             parts.append(f"best {scope.best:.2f}")
         return f"{place} ({', '.join(parts)})"
@@ -540,11 +483,7 @@ CODE: dict[str, Callable[[View], Verdict]] = {
 CLAIMS = read_claims()
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Verdicts
-# ---------------------------------------------------------------------------------------------------------------------
-
-
+# --- verdicts ---
 def completed(view: View, paper: View) -> list[View]:
     """`DRAWS` tables in which each cell that the paper has, too, has at least five seeds."""
     rng = np.random.default_rng(0)
@@ -583,25 +522,19 @@ def one_verdict(
 ) -> Verdict:
     """The verdict on one claim; tables: `completed`; few: the cells with fewer than five seeds."""
     found = claim.judge(view)
-    figures = found.figures or claim.text(view, found.outcomes)
+    found = replace(found, figures=found.figures or claim.text(view, found.outcomes))
     needed = set(claim.cells())
     carrying = needed & few
-    if found.verdict == UNKNOWN or not carrying:
-        rests_on = ""
-        if found.verdict == UNKNOWN:
-            absent = sum(key not in view.cells for key in needed)
-            rests_on = (
-                f"missing cells: {absent}"
-                if absent
-                else cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
-            )
-        return replace(found, figures=figures, rests_on=rests_on)
+    if found.verdict == UNKNOWN:
+        absent = sum(key not in view.cells for key in needed)
+        missing = cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
+        return replace(found, rests_on=f"missing cells: {absent}" if absent else missing)
+    if not carrying:
+        return found
     drawn = [claim.judge(table) for table in tables]
     stays = float(np.mean([each.verdict == found.verdict for each in drawn]))
     if stays >= 1 - TURNED:
-        return replace(
-            found, figures=figures, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays
-        )
+        return replace(found, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays)
     turning = {
         place
         for place, holds in found.outcomes.items()
@@ -610,7 +543,7 @@ def one_verdict(
     tasks = {task for place in turning for task in SETS.get(place, (place,))}
     deciding = shown(claim, view, {key for key in carrying if key[2] in tasks} or carrying)
     words = f"{found.verdict} as it is, and in {100 * stays:.0f} % of the completed tables; "
-    return replace(found, verdict=CLOSE, figures=figures, rests_on=cells_text(words, deciding, hours), stays=stays)
+    return replace(found, verdict=CLOSE, rests_on=cells_text(words, deciding, hours), stays=stays)
 
 
 def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:

@@ -1,8 +1,9 @@
 """Runs on a Ray cluster: each on one core of any node, all of its files going there and back through Ray.
 
-The nodes need this project's dependencies and no shared disk: they are sent `algos/` and `envs/`, and what the campaign
-has of a run. Every few minutes its last checkpoint comes back into its directory here, so this directory looks like
-that of an interrupted run: one whose node is lost goes on from it on another node, and on this machine if need be.
+The nodes need this project's dependencies and no shared disk: Ray sends them `algos/` and `envs/`, and this module what
+the campaign has of a run. Every few minutes its last checkpoint comes back into its directory here, so this directory
+looks like that of an interrupted run: one whose node is lost goes on from it on another node, and on this machine if
+need be.
 
 `Trainer` and what it calls live on the nodes, where the modules of benchmark/ are not: they are sent by value.
 """
@@ -10,8 +11,7 @@ that of an interrupted run: one whose node is lost goes on from it on another no
 import contextlib
 import ctypes
 import functools
-import hashlib
-import io
+import importlib.util
 import json
 import logging
 import math
@@ -23,7 +23,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ import ray
 
 import envs
 from benchmark import plan
-from benchmark.campaign import ClusterLost
+from benchmark.campaign import ONE_THREAD, ClusterLost
 from benchmark.plan import PlannedRun
 from envs.runs import provenance
 
@@ -51,24 +50,6 @@ LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: 
 
 
 # --- on the nodes ---
-def unpack(code: bytes) -> Path:
-    """The scripts and environments as files; at the same place for all runs of a node, so that Numba compiles once."""
-    folder = Path(tempfile.gettempdir(), f"marl-baselines-{os.getuid()}-{hashlib.sha256(code).hexdigest()[:16]}")
-    if not folder.exists():
-        with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
-            new = Path(temporary, "code")
-            with zipfile.ZipFile(io.BytesIO(code)) as archive:
-                archive.extractall(new)
-            for path in new.rglob("*"):
-                os.utime(path, (0, 0))  # Numba's cache asks whether a file is the same
-            try:
-                new.rename(folder)
-            except OSError:  # another run of this node was faster
-                if not folder.exists():
-                    raise
-    return folder
-
-
 def pieces(path: Path) -> Iterator[bytes]:
     """A file's bytes."""
     with open(path, "rb") as file:
@@ -135,22 +116,21 @@ def make_folder() -> tuple[Path, filelock.FileLock]:
 class Trainer:
     """A run on a node: a process, and a directory that is gone when it has ended."""
 
-    def __init__(self, code: bytes, algorithm: str, arguments: list[str], files: Files):
+    def __init__(self, algorithm: str, arguments: list[str], files: Files):
         self.folder, self.lock = make_folder()
         self.directory, self.log = self.folder / "run", self.folder / "log.txt"
         self.sent = 0  # when the last checkpoint that was sent was made
         if files:
             write_files(self.directory, files)
-        place = unpack(code)
-        environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        command = [sys.executable, str(place / "algos" / f"{algorithm}.py"), *arguments]
+        script = importlib.util.find_spec(f"algos.{algorithm}")
+        assert script is not None and script.origin is not None
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
-                [*command, "--run-dir", str(self.directory), "--resume"],
+                [sys.executable, script.origin, *arguments, "--run-dir", str(self.directory), "--resume"],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=environment,
+                env=os.environ | ONE_THREAD,
                 preexec_fn=functools.partial(ctypes.CDLL(None).prctl, PR_SET_PDEATHSIG, signal.SIGKILL),
             )
 
@@ -179,17 +159,6 @@ class Trainer:
 
 
 # --- where the campaign is ---
-def pack() -> bytes:
-    """The scripts and environments of this checkout, as a zip file that is the same for the same files."""
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for folder, name in ((plan.ALGOS, "algos"), (Path(envs.__file__).parent, "envs")):
-            for path in sorted(folder.rglob("*")):
-                if path.is_file() and "__pycache__" not in path.parts:
-                    archive.writestr(zipfile.ZipInfo(f"{name}/{path.relative_to(folder)}"), path.read_bytes())
-    return packed.getvalue()
-
-
 class RayJob:
     """A run on the cluster, whose directory here is locked meanwhile."""
 
@@ -260,7 +229,7 @@ class RayJob:
 
 
 class Connection:
-    """A cluster that was joined: what starts jobs on it, and says how many it has room for."""
+    """A cluster that was joined, and how many jobs it has room for."""
 
     def __init__(self, address: str, jobs: int | None):
         """jobs: how many at most; None: as many as the cluster has cores. InputError where no cluster answers."""
@@ -268,14 +237,15 @@ class Connection:
         try:
             if host:  # Ray itself would try for five minutes
                 socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
-            ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+            sent = {"py_modules": [str(plan.ALGOS), str(Path(envs.__file__).parent)]}
+            ray.init(address, runtime_env=sent, log_to_driver=False, logging_level=logging.WARNING)
         except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: another version of Ray or Python
             raise envs.InputError(f"no Ray cluster answers at {address}: {error}") from None
         if not host:
             host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
         self.address, self.jobs, self.commit = (host, int(port)), jobs, provenance()["commit"]
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-        self.begin: Callable[..., Any] = functools.partial(ray.remote(num_cpus=1)(Trainer).remote, ray.put(pack()))
+        self.begin: Callable[..., Any] = ray.remote(num_cpus=1)(Trainer).remote
         self.cores, self.counted = 0, -math.inf
 
     def check(self) -> None:
@@ -284,10 +254,6 @@ class Connection:
             socket.create_connection(self.address, ANSWER_SECONDS).close()
         except OSError as error:
             raise ClusterLost(f"The Ray cluster at {':'.join(map(str, self.address))} is lost: {error}.") from None
-
-    def start(self, run: PlannedRun) -> "RayJob":
-        """A job of the run."""
-        return RayJob(run, self)
 
     def places(self) -> int:
         """How many jobs there is room for. Raises ClusterLost."""

@@ -81,9 +81,8 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
     place.mkdir(parents=True, exist_ok=True)
     in_memory = io.BytesIO()
     torch.save(kept, in_memory)
-    (place / "checkpoint.new.pt").write_bytes(in_memory.getvalue())
-    (place / "checkpoint.new.pt").replace(place / "checkpoint.pt")
-    write_whole(place / "evaluations.csv", (directory / "evaluations.csv").read_text(encoding="utf-8"))
+    write_whole(place / "checkpoint.pt", in_memory.getvalue())
+    write_whole(place / "evaluations.csv", (directory / "evaluations.csv").read_bytes())
     write_whole(place / "config.json", json.dumps(config, indent=2) + "\n")
     return place
 

@@ -131,11 +131,6 @@ def final_scores(normalised: pd.DataFrame) -> dict[tuple[str, str], dict[str, np
     return scores
 
 
-def resample(scores: list[np.ndarray], rng: np.random.Generator) -> list[np.ndarray]:
-    """Bootstrap samples: for each task an array [SAMPLES, seeds]."""
-    return [values[rng.integers(len(values), size=(SAMPLES, len(values)))] for values in scores]
-
-
 def with_interval(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> np.ndarray:
     """A measure of one or two teams' scores with its interval: [3, ...], the measure, its lower and its upper bound.
 
@@ -143,7 +138,8 @@ def with_interval(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) 
     """
     rng = np.random.default_rng(0)
     point = measure(*([values[None] for values in team] for team in teams))[0]
-    sampled = measure(*(resample(team, rng) for team in teams))
+    drawn = ([seeds[rng.integers(len(seeds), size=(SAMPLES, len(seeds)))] for seeds in team] for team in teams)
+    sampled = measure(*drawn)
     return np.stack([point, *np.percentile(sampled, PERCENTILES, axis=0)])
 
 

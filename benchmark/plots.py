@@ -30,6 +30,7 @@ from benchmark import measures
 from benchmark.measures import interval
 from benchmark.store import ALGORITHMS, FAMILIES, PAPER_CPU_HOURS, PAPER_RUNS, algorithm_order
 from benchmark.tables import in_order
+from envs.runs import write_whole
 
 COLOURS = {
     "iql": "#999933",
@@ -80,14 +81,8 @@ def save(figure: Figure, path: Path, source: str) -> None:
     with Image.open(large) as image:
         small = image.convert("RGB").quantize(PNG_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     small.save(png, "png", optimize=True, pnginfo=noted)
-    for suffix, picture in ((".svg", svg), (".png", png)):
-        new = path.with_suffix(f"{suffix}.new")
-        try:
-            new.write_bytes(picture.getvalue())
-            new.replace(path.with_suffix(suffix))
-        except OSError:  # on a full disk the old picture stays, whole
-            new.unlink(missing_ok=True)
-            raise
+    write_whole(path.with_suffix(".svg"), svg.getvalue())
+    write_whole(path.with_suffix(".png"), png.getvalue())
 
 
 def panels(number: int, columns: int, x: str, y: str, share_y: bool = False) -> tuple[Figure, list[Axes]]:

@@ -129,7 +129,7 @@ def run_campaign(args: argparse.Namespace) -> int:
         from benchmark import cluster
 
         connection = cluster.Connection(args.ray, args.jobs)
-        start, places = connection.start, connection.places
+        start, places = functools.partial(cluster.RayJob, cluster=connection), connection.places
     args.runs.mkdir(parents=True, exist_ok=True)
     store.lock(results)  # that it cannot be written is to be known before hours of runs
     campaign = Campaign(runs, args.runs.resolve(), results, start, places)

@@ -26,7 +26,6 @@ TITLES = {
     "max_win_rate": "Maximum win rates",
     "last_win_rate": "Win rates at the last evaluation",
 }
-MARKED = ("max_return",)  # the paper's other tables have no marks
 LEGEND = """\
 In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours, or several that are printed
 alike. An asterisk: not significantly different from one of these. A small number: so many seeds instead of five; a
@@ -69,7 +68,7 @@ def marks(row: pd.DataFrame) -> list[str]:
 def with_marks(cells: pd.DataFrame) -> pd.DataFrame:
     """The cells with a column mark, as in the paper only for maximum returns."""
     marked = cells.assign(mark="")
-    for _, row in cells[cells["metric"].isin(MARKED)].groupby(["metric", "sharing", "task"]):
+    for _, row in cells[cells["metric"] == "max_return"].groupby(["metric", "sharing", "task"]):
         marked.loc[row.index, "mark"] = marks(row)
     return marked
 

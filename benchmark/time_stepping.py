@@ -13,6 +13,7 @@ With --output the figures also go to a CSV, where they take the place of those o
 import argparse
 import itertools
 import math
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from typing import Any
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import gymnasium
 import numpy as np
 
 import envs
@@ -95,13 +97,14 @@ def original(name: str) -> Callable[[], int] | None:
     play = {"lbf": lbforaging, "rware": rware, "mpe": mpe2, "mpe2": mpe2}.get(name.partition("-")[0])
     try:
         return play(name) if play else None
-    except envs.InputError as error:
+    except (envs.InputError, gymnasium.error.Error) as error:  # a package is missing, or has no such game
         print(error, file=sys.stderr)
         return None
 
 
-def episodes(env: Any) -> Callable[[], int]:
-    """Plays an episode of a package that follows the interface of old Gym."""
+def episodes(name: str) -> Callable[[], int]:
+    """Plays an episode of a game that a package has registered, without Gymnasium's wrappers."""
+    env: Any = gymnasium.make(name).unwrapped
     env.reset(seed=0)
     n_agents, n_actions = len(env.action_space), env.action_space[0].n
     prepared = itertools.cycle(np.random.default_rng(0).integers(0, n_actions, (ACTIONS, n_agents)).tolist())
@@ -118,40 +121,17 @@ def episodes(env: Any) -> Callable[[], int]:
 
 def lbforaging(name: str) -> Callable[[], int]:
     """Plays the package's game of a name as in `envs.tasks`."""
-    package = envs.optional("lbforaging.foraging", "test")
+    envs.optional("lbforaging", "test")
     config = envs.task(name).settings
-    env = package.ForagingEnv(
-        players=config["n_agents"],
-        min_player_level=1,
-        max_player_level=2,
-        min_food_level=1,
-        max_food_level=None,
-        field_size=(config["rows"], config["columns"]),
-        max_num_food=config["n_foods"],
-        sight=config["sight"],
-        max_episode_steps=50,
-        force_coop=config["cooperative"],
-    )
-    return episodes(env)
+    sight = f"{config['sight']}s-" if config["sight"] < config["rows"] else ""
+    game = f"{config['rows']}x{config['columns']}-{config['n_agents']}p-{config['n_foods']}f"
+    return episodes(f"Foraging-{sight}{game}{'-coop' * config['cooperative']}-v3")
 
 
 def rware(name: str) -> Callable[[], int]:
     """Plays the package's game of a name as in `envs.tasks`."""
-    package = envs.optional("rware.warehouse", "test")
-    config = envs.task(name).settings
-    env = package.Warehouse(
-        shelf_columns=(config["columns"] - 1) // 3,
-        column_height=8,
-        shelf_rows=(config["rows"] - 2) // 9,
-        n_agents=config["n_agents"],
-        msg_bits=0,
-        sensor_range=config["sight"],
-        request_queue_size=config["n_requests"],
-        max_inactivity_steps=None,
-        max_steps=500,
-        reward_type=package.RewardType.INDIVIDUAL,
-    )
-    return episodes(env)
+    envs.optional("rware", "test")
+    return episodes(re.sub("([0-9]+)p", r"\1ag", name) + "-v2")
 
 
 def mpe2(name: str) -> Callable[[], int]:

@@ -39,11 +39,30 @@ WARM_UP = 5  # updates
 class TimedRun:
     """Stands for a script's Run: keeps nothing, and its training ends when the time is up."""
 
-    def __init__(self, seconds: float, folder: str):
-        self.seconds, self.folder = seconds, folder
+    def __init__(self, module: Any, seconds: float, folder: str):
+        self.seconds, self.replay = seconds, Path(folder, "replay.bin")
         self.n_updates = self.steps = 0  # the script counts the updates
         self.begun = self.ended = 0.0
         self.spent = {"update": 0.0, "collect": 0.0, "step": 0.0}  # seconds in each function
+        self.time(module, "update")
+        self.time(module, "collect")
+
+    def begin(self, script: str, args: Any, paper_defaults: Any, env: Any, *_: Any) -> "TimedRun":
+        """What the script calls instead of `runs.Run`."""
+        self.time(env, "step")
+        return self
+
+    def time(self, owner: Any, name: str) -> None:
+        """Counts the time of a function of a module or an object from now on."""
+        function: Callable = getattr(owner, name)
+
+        def timed(*args: Any) -> Any:
+            start = time.perf_counter()
+            result = function(*args)
+            self.spent[name] += time.perf_counter() - start
+            return result
+
+        setattr(owner, name, timed)
 
     @property
     def timestep(self) -> float:
@@ -60,52 +79,28 @@ class TimedRun:
 
     def episode_file(self, fields: Any, size: int) -> runs.EpisodeFile:
         """The file of a replay."""
-        return runs.EpisodeFile(Path(self.folder, "replay.bin"), fields, size, 0)
+        return runs.EpisodeFile(self.replay, fields, size, 0)
 
     def evaluate_if_due(self) -> None:
         """Nothing is evaluated, stopped or saved."""
 
     stop_if_asked = save_if_due = complete = evaluate_if_due
 
-    def time(self, owner: Any, name: str) -> None:
-        """Counts the time of a function of a module or an object from now on."""
-        function: Callable = getattr(owner, name)
-
-        def timed(*args: Any) -> Any:
-            start = time.perf_counter()
-            result = function(*args)
-            self.spent[name] += time.perf_counter() - start
-            return result
-
-        setattr(owner, name, timed)
-
-
-def read_flags(name: str, flags: list[str]) -> tuple[Any, Any]:
-    """A script, and its Args for these flags. Ends the program where it does not take them."""
-    module: Any = load_script(name)
-    return module, runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
-
 
 def measure(name: str, flags: list[str], seconds: float) -> tuple[str, list[float]]:
     """Trains for some seconds. Returns the setting in words; steps per second and the shares of updates, acting and
-    stepping."""
+    stepping. Ends the program where the script does not take the flags."""
     import torch
 
-    module, args = read_flags(name, flags)
+    module: Any = load_script(name)
+    args: Any = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     if hasattr(args, "buffer_size"):  # the whole replay may be larger than the disk that has temporary files
         args.buffer_size = min(args.buffer_size, 20 * args.batch_size)
     runs.keep_freed_memory()
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(io.StringIO()):  # what a replay takes
-        run = TimedRun(seconds, folder)
-        run.time(module, "collect")
-        run.time(module, "update")
-
-        def begin(script: str, args: Any, paper_defaults: Any, env: Any, *_: Any) -> TimedRun:
-            run.time(env, "step")
-            return run
-
-        with mock.patch.object(runs, "Run", begin):
+        run = TimedRun(module, seconds, folder)
+        with mock.patch.object(runs, "Run", run.begin):
             module.train(args)
     update, collect, step = run.spent.values()
     setting = f"{name} {args.network} {args.hidden_dim} {'shared' if args.parameter_sharing else 'independent'}"
@@ -134,8 +129,6 @@ def main() -> None:
     if not 0 < chosen.seconds < math.inf:
         parser.error("--seconds must be a positive number")
     flags = ["--env", chosen.env, *chosen.flags]
-    for name in chosen.algorithms:
-        read_flags(name, flags)
     with process("0") as plain, process("1") as fast:
         processes = {"plain": plain} | ({"fast": fast} if fast_mkl.LOADED else {})
         for name in chosen.algorithms:

@@ -116,13 +116,10 @@ def make(
         raise InputError(
             f"`{option}` is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules."
         )
-    too_large = InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.")
-    if num_envs >= 2**40:  # NumPy would fail in other ways than with a MemoryError
-        raise too_large
     try:
         env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options, **given)
     except MemoryError:
-        raise too_large from None
+        raise InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.") from None
     env.checks_numbers |= name.startswith("own:")
     if described.module in PICTURES:
         env.can_draw, env.picture = True, PICTURES[described.module]

@@ -187,26 +187,40 @@ def test_a_home_that_cannot_be_written() -> None:
     assert run(STEP, PACKAGE.parent, XDG_CACHE_HOME="/proc/none", HOME="/proc/none") == "reward 7.0\n"
 
 
-START_AND_STEPS = """
+PLAY = """
 import numpy as np, envs
-env = envs.make("lbf-6x7-3p-2f-2s", 4, seed=9)
-total = env.reset()[0].astype(int).tolist()
-actions = np.random.default_rng(0).integers(0, 6, (60, 4, 3))
-for t in range(60):
-    observations, rewards, terminated, truncated, info = env.step(actions[t])
-    total.append((observations.sum(), rewards.tolist(), terminated.tolist(), truncated.tolist()))
-    if (terminated | truncated).any():
-        env.reset(options={"reset_mask": terminated | truncated})
-print(total)
+for name in {names}:
+    env = envs.make(name, 2, seed=9)
+    env.reset()
+    env.game.steps[:] = env.episode_limit - {steps} // 2
+    rng = np.random.default_rng(0)
+    for _ in range({steps}):
+        actions = (rng.random(env.action_mask.shape) * env.action_mask).argmax(axis=2)
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        sums = [array.sum(axis=-1).round(4).tolist() for array in (observations, info["state"], info["agent_rewards"])]
+        flags, statistics = (terminated.tolist(), truncated.tolist()), list(info["statistics"].values())
+        print(name, sums, rewards.round(4), flags, statistics)
+        if (terminated | truncated).any():
+            env.reset(options={{"reset_mask": terminated | truncated}})
 try:
-    env.step([[0, 0, 0]] * 3 + [[0, 6, 0]])
+    env.step(np.full(actions.shape, 99))
 except ValueError as error:
     print(error)
 """
 
 
+@pytest.mark.parametrize(
+    "names, steps",
+    [
+        (["lbf-6x7-3p-2f-2s", "rware-tiny-3p-2s", "mpe-speaker-listener", "mpe2-spread", "mpe2-tag-selfplay"], 60),
+        (["mpe-adversary-selfplay", "mpe-adversary", "mpe-tag"], 4),  # networks in plain Python are slow
+        (["smaclite-2s_vs_1sc", "smaclite-2s3z-sc2", "smaclite-MMM2"], 6),
+    ],
+)
 @pytest.mark.slow
-def test_the_rules_are_the_same_without_the_compiler() -> None:
-    plain = run(START_AND_STEPS, PACKAGE.parent, NUMBA_DISABLE_JIT="1")
-    assert "sub-environment 3, agent 1: action 6 does not exist" in plain
-    assert plain == run(START_AND_STEPS, PACKAGE.parent)
+def test_the_rules_are_the_same_without_the_compiler(names: list[str], steps: int) -> None:
+    """Half of the steps come before an end, half after a reset."""
+    code = PLAY.format(names=names, steps=steps)
+    plain = run(code, PACKAGE.parent, NUMBA_DISABLE_JIT="1")
+    assert "sub-environment 0, agent 0: action 99 does not exist" in plain
+    assert plain == run(code, PACKAGE.parent)

@@ -14,7 +14,6 @@ import pickle
 import re
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from itertools import permutations
@@ -264,22 +263,6 @@ def play(env: mpe.Env, steps: int) -> NDArray[np.float32]:
     """Observations [step, env, agent, value] of random actions that depend on the sub-environment alone."""
     actions = [np.random.default_rng(i).integers(0, 3, (steps, env.n_agents)) for i in range(env.num_envs)]
     return np.array([env.step(np.stack([own[t] for own in actions]))[0] for t in range(steps)])
-
-
-@pytest.mark.parametrize("name", [*ALL[:4], "mpe-tag-selfplay"])
-def test_an_episode_depends_on_seed_index_and_number_alone(name: str) -> None:
-    few, many = make(name, 2, seed=5), make(name, 5, seed=5)
-    seen = set()
-    for k in range(3):
-        a, b = few.reset()[0], many.reset()[0]
-        np.testing.assert_array_equal(a, b[:2])
-        np.testing.assert_array_equal(play(few, 9), play(many, 9)[:, :2])
-        again = make(name, 3, seed=5)
-        again.episode = k
-        np.testing.assert_array_equal(again.reset()[0], b[:3])
-        seen |= {start.tobytes() for start in b[:, -1]}
-    assert len(seen) == 15
-    assert (make(name, 2, seed=6).reset()[0] != make(name, 2, seed=5).reset()[0]).any()
 
 
 @pytest.mark.parametrize("name", ["mpe-speaker-listener", "mpe-adversary", "mpe-tag"])
@@ -695,32 +678,3 @@ def test_the_symbol_is_seen() -> None:
     frames = [env.step([[symbol, 0]]) and env.frame() for symbol in (0, 1)]
     corner = (slice(280, 310), slice(280, 330))  # right above the speaker
     assert (silent[corner] != frames[0][corner]).any() and (frames[0][corner] != frames[1][corner]).any()
-
-
-PLAY = """
-import numpy as np
-import envs
-for name in {names}:
-    env = envs.make(name, 2, seed=3)
-    observations, _ = env.reset()
-    total = [observations.sum(axis=(1, 2)).round(4).tolist()]
-    for t in range({steps}):
-        actions = np.random.default_rng(t).integers(0, 3, (2, env.n_agents))
-        observations, rewards, *_, info = env.step(actions)
-        total.append((observations.sum(axis=(1, 2)).round(4).tolist(), rewards.round(4).tolist()))
-    print(total)
-"""
-
-
-@pytest.mark.slow
-def test_the_rules_are_the_same_without_the_compiler() -> None:
-    def run(names: list[str], steps: int, **settings: str) -> str:
-        code = PLAY.format(names=names, steps=steps)
-        environment = os.environ | settings
-        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        assert done.stderr == ""
-        return done.stdout
-
-    against = [(["mpe-adversary", "mpe-tag"], 3)] if TRAINED else []  # a process of its own has no stand-ins
-    for names, steps in ((["mpe-speaker-listener", "mpe2-spread", *SELFPLAY], 25), *against):
-        assert run(names, steps, NUMBA_DISABLE_JIT="1") == run(names, steps)

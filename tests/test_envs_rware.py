@@ -6,12 +6,9 @@ By default a tenth of the steps are compared with the package; ENVS_FULL=1 compa
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections import Counter, deque
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -507,33 +504,6 @@ def test_an_episode_ends_at_step_500_and_stands_still() -> None:
         assert not rewards.any() and not info["agent_rewards"].any()
         np.testing.assert_array_equal(observations[[0, 2]], last[[0, 2]])
     assert env.game.steps.tolist() == [500, 3, 500]
-
-
-def play(name: str) -> list[Any]:
-    """What two sub-environments report of random actions, mostly forward; an end and a reset are included."""
-    env = make(name, 2, seed=5)
-    rng = np.random.default_rng(6)
-    observations, info = env.reset()
-    env.game.steps[:] = 450
-    found: list[Any] = []
-    for _ in range(60):
-        actions = np.where(rng.random((2, env.n_agents)) < 0.6, FORWARD, rng.integers(0, 5, (2, env.n_agents)))
-        observations, rewards, _, truncated, info = env.step(actions)
-        statistics = [values.tolist() for values in info["statistics"].values()]
-        found.append([float(observations @ np.arange(env.obs_size) @ [1, 2, 3] @ [1, 4]), rewards.tolist(), statistics])
-        if truncated.all():
-            env.reset()
-    return found
-
-
-def test_the_rules_are_the_same_without_the_compiler() -> None:
-    """In a process of its own, since the rules are compiled or not when they are imported."""
-    code = "import test_envs_rware as tests; print(tests.play('rware-tiny-3p-2s'))"
-    settings = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    command = [sys.executable, "-c", code]
-    plain = subprocess.run(command, cwd=Path(__file__).parent, env=settings, capture_output=True, text=True)
-    assert plain.stderr == ""
-    assert plain.stdout == f"{play('rware-tiny-3p-2s')}\n"
 
 
 # ---------------------------------------------------------------------------------------------------------------------

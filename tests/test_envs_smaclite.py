@@ -9,8 +9,6 @@ import copy
 import csv
 import os
 import pickle
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -737,32 +735,6 @@ def test_a_copied_environment_goes_on_by_itself(duplicate: Any) -> None:
     np.testing.assert_array_equal(env.state, twin.state)
     np.testing.assert_array_equal(env.observations, twin.observations)
     assert not np.shares_memory(env.state, twin.state)
-
-
-PLAIN = """
-import numpy as np, envs
-for name in ("smaclite-2s_vs_1sc", "smaclite-2s3z-sc2", "smaclite-MMM2"):
-    env = envs.make(name, 1, seed=7)
-    env.reset()
-    rng = np.random.default_rng(0)
-    for _ in range(6):
-        actions = np.argmax(rng.random(env.action_mask.shape) * env.action_mask, axis=2)
-        observations, rewards, *_, info = env.step(actions)
-        print(observations.sum(), info["state"].sum(), rewards[0])
-"""
-
-
-@pytest.mark.slow
-def test_the_rules_are_the_same_without_the_compiler() -> None:
-    def run(**environment: str) -> str:
-        inherited = {**os.environ, "PYTHONPATH": str(Path(envs.__file__).parents[1])}
-        command = [sys.executable, "-W", "error", "-c", PLAIN]
-        return subprocess.run(
-            command, env={**inherited, **environment}, capture_output=True, text=True, check=True
-        ).stdout
-
-    plain = run(NUMBA_DISABLE_JIT="1")
-    assert plain.count("\n") == 18 and plain == run()
 
 
 def coloured(frame: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:

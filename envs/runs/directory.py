@@ -69,15 +69,15 @@ def put(new: Path, path: Path) -> None:
     new.replace(path)
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Writes a text file whole or not at all: whoever reads it finds the old text or the new one.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Writes a file whole or not at all: whoever reads it finds the old content or the new one. Text is UTF-8.
 
     Raises OSError, on a full disk for example, and then leaves what was there.
     """
     new = path.with_name(f"{path.name}.new")
     try:
-        with naming(new), open(new, "w", newline="\n", encoding="utf-8") as file:
-            file.write(text)
+        with naming(new), open(new, "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         put(new, path)
