@@ -3,6 +3,8 @@
 import resource
 import shutil
 import sys
+from types import SimpleNamespace
+from typing import Any
 
 import nbclient
 import nbformat
@@ -11,7 +13,7 @@ from scripts import ROOT
 
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 
-from notebook_of_pages import FILE, PREPARE, notebook, to_markdown
+from notebook_of_pages import FILE, PREPARE, name_repository, notebook, to_markdown
 
 LONGEST = 60  # seconds of CPU time
 
@@ -24,6 +26,16 @@ def test_links_begin_at_docs_or_at_the_repository():
     text = "{term}`one\n  two <three>`, [a](../b.md#c), [d](e.md), [f](https://g.h)"
     assert to_markdown(text, "how-to/x.md", "") == "one\n  two, [a](b.md#c), [d](how-to/e.md), [f](https://g.h)"
     assert "[a](https://x.y/z/blob/main/docs/b.md#c)" in to_markdown(text, "how-to/x.md", "https://x.y/z")
+
+
+def test_the_sites_copy_knows_the_repository(tmp_path):
+    copy = tmp_path / "_downloads" / "0123" / FILE.name
+    copy.parent.mkdir(parents=True)
+    copy.touch()
+    theme = {"source_repository": "https://x.y/z"}
+    app: Any = SimpleNamespace(outdir=tmp_path, config=SimpleNamespace(html_theme_options=theme))
+    name_repository(app, None)
+    assert 'REPOSITORY_URL = \\"https://x.y/z\\"' in copy.read_text(encoding="utf-8")
 
 
 @pytest.fixture
