@@ -26,6 +26,7 @@ extensions = [
     "environment_pages",
     "reference_page",
     "results_pages",
+    "notebook_of_pages",
 ]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["data", "films", "extensions"]

@@ -11,8 +11,9 @@ A is the generalised advantage estimate (GAE) of Schulman et al., "High-Dimensio
 Control Using Generalized Advantage Estimation" (2016), with lambda --gae-lambda. Where the episode
 ends, V(s_{t+1}) is 0 after a real end, and a value after a time-out. Advantages get mean 0 and
 deviation 1 over the agents and played steps of a batch. The critic learns G with the mean and
-deviation of the returns so far taken out; its outputs, with them put in again, are V. There is no
-target network: V is the critic before the batch's first update.
+deviation of the returns so far taken out; its outputs, with them put in again, are V. Of these
+statistics 1 % is forgotten with each batch (in the paper's code 0.001 % with each of the critic's
+steps). There is no target network: V is the critic before the batch's first update.
 
 Algorithm: Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games" (2021).
 Of what they do besides, value clipping, the Huber loss, orthogonal first weights and more epochs are

@@ -1,4 +1,4 @@
-"""Writes a script with a planted fault, to be found (docs/exercises/index.md, tasks 3 to 5).
+"""Writes a script with a planted fault, to be found (docs/exercises/index.md, task 3).
 
     python examples/plant_fault.py 1 faulty.py
 

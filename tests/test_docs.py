@@ -23,6 +23,7 @@ from scripts import ROOT
 from selenium import webdriver
 
 import envs
+from benchmark import measures
 from envs.runs import Flags
 from envs.tasks import PAPER_TASKS
 
@@ -144,6 +145,14 @@ def test_commands_of_a_page_have_flags_and_tasks_that_exist(name):
             assert flags <= {*script.read(name).flags, *shared, "help"}, command
             if "--env" in words:
                 envs.task(words[words.index("--env") + 1])
+
+
+def test_the_command_of_a_result_has_switches_and_files():
+    changed: dict[str, Any] = {"reward_standardisation": False, "parameter_sharing": True}
+    command = results_data.campaign("mappo", "mpe-tag", "shared", changed, 1)
+    assert command.endswith(" -- --parameter-sharing --no-reward-standardisation")
+    command = results_data.campaign("mappo", "mpe-tag", "shared", measures.paper_setting("mpe-tag"), 1)
+    assert shlex.split(command)[-2:] == ["--env-kwargs", "opponent='opponents/paper-tag.npz'"]
 
 
 @pytest.mark.slow

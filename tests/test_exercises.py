@@ -1,6 +1,7 @@
 """The exercises: wrong files are found by their check, in words, and the solutions do what the pages say."""
 
 import re
+import resource
 import shlex
 import shutil
 import subprocess
@@ -13,6 +14,23 @@ from scripts import ROOT, load_module
 
 check_exercise = load_module(ROOT / "examples/check_exercise.py")
 plant_fault = load_module(ROOT / "examples/plant_fault.py")
+recordings = load_module(ROOT / "tools/recordings.py")
+
+LONGEST = 300  # seconds of CPU time for a task
+
+
+def cpu_time():
+    """Seconds of this process and of the commands that it has run."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+@pytest.fixture(autouse=True)
+def within_five_minutes():
+    """No test here runs more than one task."""
+    before = cpu_time()
+    yield
+    assert cpu_time() - before < LONGEST
 
 
 @pytest.fixture
@@ -110,6 +128,44 @@ def test_there_are_ten_tasks_with_all_that_belongs_to_them():
         assert all(task(number).count(part) == 1 for part in ("*Book: ", "**Hand in**", "**Check", "<summary>"))
 
 
+def commands(number):
+    """The commands of a task, as lists of words."""
+    return [shlex.split(line) for line in "".join(blocks(number, "bash")).replace("\\\n", "").splitlines()]
+
+
+def at_the_end(folder, figure):
+    """A run's last return, or the mean of another figure over the last tenth of the training."""
+    if figure == "return":
+        return pd.read_csv(folder / "evaluations.csv")["return_mean"].iloc[-1]
+    points = [(step, value) for tag, step, value in recordings.scalars(folder) if tag == figure.strip("`")]
+    return pd.Series([value for step, value in points if step > 0.9 * points[-1][0]]).mean()
+
+
+@pytest.mark.slow
+def test_curves_show_each_planted_fault(tmp_path):
+    """By one seed of each. The task has three, and its time is three times as long."""
+    before = cpu_time()
+    trainings = {words[1]: words for words in commands(3) if words[1].startswith("fault")}
+    trainings["fault3.py"] = trainings["fault1.py"]
+    for number, fault in enumerate(plant_fault.FAULTS, 1):
+        script = tmp_path / f"fault{number}.py"
+        script.write_text(plant_fault.faulty(number), encoding="utf-8")
+        for path in script, ROOT / "algos" / f"{fault['script']}.py":
+            words = ["python", str(path), *trainings[script.name][2:], "--seed", "0"]
+            run([*words, "--run-dir", str(tmp_path / f"{number}-{path == script}")], ROOT)
+        rows = re.findall(rf"(?m)^\| {number} \| (\S+) \| (.*) \| (.*) \|$", task(3))
+        assert len(rows) == 2
+        for figure, *told in rows:
+            right, faulty = (pd.Series(map(float, numbers.split(", "))) for numbers in told)
+            assert len(right) == len(faulty) == 3
+            if (number, figure) != (2, "return"):  # which the fault does not change
+                apart = abs(right.mean() - faulty.mean())
+                assert apart > 5 * max(right.std(), faulty.std())
+                assert abs(at_the_end(tmp_path / f"{number}-False", figure) - right.mean()) < 0.2 * apart
+                assert abs(at_the_end(tmp_path / f"{number}-True", figure) - faulty.mean()) < 0.2 * apart
+    assert 3 * (cpu_time() - before) < LONGEST
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number, original, algorithm", [(1, "iql", "vdn"), (2, "ia2c", "maa2c")])
 def test_a_diff_makes_another_algorithm(checked, tmp_path, number, original, algorithm):
@@ -148,17 +204,17 @@ def test_what_grows_with_the_number_of_agents():
 
 @pytest.mark.slow
 def test_qmix_solves_the_two_step_game(tmp_path):
-    qmix, vdn = "".join(blocks(6, "bash")).replace("\\\n", "").splitlines()
-    iql = vdn.replace("vdn", "iql")
-    for command, expected in (qmix, 8), (vdn, 7), (iql, 7):
-        folder = tmp_path / command.split()[1].replace("/", "-")
-        run([*shlex.split(command), "--run-dir", str(folder)], ROOT)
+    qmix, vdn = commands(6)
+    iql = [word.replace("vdn", "iql") for word in vdn]
+    for words, expected in (qmix, 8), (vdn, 7), (iql, 7):
+        folder = tmp_path / words[1].replace("/", "-")
+        run([*words, "--run-dir", str(folder)], ROOT)
         assert pd.read_csv(folder / "evaluations.csv")["return_mean"].iloc[-1] == expected
 
 
 def test_the_search_says_what_the_solution_says():
-    [command] = blocks(7, "bash")
-    rows = [line.split(" | ") for line in run(shlex.split(command), ROOT).splitlines() if "IA2C" in line]
+    [words] = commands(7)
+    rows = [line.split(" | ") for line in run(words, ROOT).splitlines() if "IA2C" in line]
     assert ["reward_standardisation False" in row[3] for row in rows] == [False] * 6 + [True] * 6  # the best first
     assert all(row[4] == "3" for row in rows)  # seeds
     averages = [float(row[6].split()[0]) for row in rows]
@@ -167,8 +223,15 @@ def test_the_search_says_what_the_solution_says():
 
 
 def test_the_failure_is_filmed(tmp_path):
-    [command] = blocks(8, "bash")
-    *words, team = shlex.split(command)
+    [[*words, team]] = commands(8)
     shutil.copytree(ROOT / team, tmp_path / "team")
     said = run([*words, str(tmp_path / "team")], ROOT)
     assert said.startswith("return_mean 50.000,") and (tmp_path / "team/film.gif").exists()
+
+
+@pytest.mark.slow
+def test_mappo_as_yu_et_al_use_it_learns(tmp_path):
+    [compare, train] = commands(10)
+    assert compare[0] == "diff" and all((ROOT / path).exists() for path in compare[1:])
+    run([*train, "--run-dir", str(tmp_path / "run")], ROOT)
+    assert at_the_end(tmp_path / "run", "return") > 0.95

@@ -46,6 +46,50 @@ def test_values_are_normalised_by_the_returns_so_far():
     assert [float(x) for x in norm.moments()] == pytest.approx([mean, variance**0.5])
 
 
+class Table(torch.nn.Module):
+    """A network whose outputs are its parameters, whatever it sees."""
+
+    def __init__(self, outputs):
+        super().__init__()
+        self.outputs = torch.nn.Parameter(outputs)  # [time, env, agent, output]
+
+    def forward(self, x, hidden=None):
+        return self.outputs[: len(x)], None
+
+
+def test_the_critic_learns_normalised_returns_by_hand():
+    """One agent, three steps and a time-out; gamma and lambda 1/2. The returns so far: mean 10, deviation 10."""
+    value_norm = mappo_yu.ValueNorm("cpu")
+    value_norm.add(torch.tensor([0.0, 20.0]))
+    critic = Table(torch.tensor([1.0, 2.0, 3.0, 4.0]).reshape(4, 1, 1, 1))  # the values are 20, 30, 40 and 50
+    parts = {"agents": Table(torch.zeros(4, 1, 1, 2)), "critic": critic, "value_norm": value_norm}
+    for part in ("actor", "critic"):
+        network = parts["agents" if part == "actor" else "critic"]
+        parts[f"{part}_optimiser"] = torch.optim.Adam(network.parameters(), 0.001)
+    batch = mappo_yu.Batch(
+        observations=torch.zeros(4, 1, 1, 1),
+        states=torch.zeros(4, 1, 1),
+        action_masks=torch.ones(4, 1, 1, 2, dtype=torch.bool),
+        actions=torch.zeros(3, 1, 1, dtype=torch.int64),
+        rewards=torch.tensor([1.0, 2.0, 3.0]).reshape(3, 1, 1),
+        played=torch.ones(3, 1, dtype=torch.bool),
+        no_bootstrap=torch.zeros(3, 1, dtype=torch.bool),
+    )
+    args = mappo_yu.Args(gamma=0.5, gae_lambda=0.5, update_epochs=1, reward_standardisation=False)
+    loss = mappo_yu.update(args, parts, batch, 1)["loss/critic"].item()
+    last = 3 + 25 - 40
+    middle = 2 + 20 - 30 + last / 4
+    first = 1 + 15 - 20 + middle / 4
+    returns = torch.tensor([20 + first, 30 + middle, 40 + last], dtype=torch.float64)
+    assert returns.tolist() == [13.25, 19, 28]
+    old = 0.99 / 1.99
+    mean = old * 10 + (1 - old) * returns.mean()
+    deviation = (old * 200 + (1 - old) * returns.square().mean() - mean**2).sqrt()
+    errors = (returns - mean) / deviation - torch.tensor([1.0, 2.0, 3.0])
+    assert loss == pytest.approx(errors.square().mean().item(), rel=1e-5)
+    assert [float(x) for x in value_norm.moments()] == pytest.approx([float(mean), float(deviation)])
+
+
 def test_a_batch_is_learned_with_normalised_advantages_and_values(monkeypatch, capsys, tmp_path):
     """A short training, with what `gae` gives scaled and shifted: the policies learn the same."""
     gae, made = mappo_yu.gae, []

@@ -90,13 +90,20 @@ def tables_of_results() -> dict[tuple[str, str, str], tuple[Path, dict]]:
 
 
 def campaign(algorithm: str, task: str, sharing: str, changed: dict, seeds: int) -> str:
-    """The command that makes a cell."""
+    """The command that makes a cell. The paper's opponents, which results name by a fingerprint, are the files that
+    examples/paper_opponents.py makes."""
     words = [f"python benchmark/run.py --algorithms {algorithm} --tasks {task} --seeds {seeds}"]
     if sharing != store.SHARED:
         words.append(f"--sharing {sharing}")
     if changed:
         words.append("--")
-        words += [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in sorted(changed.items())]
+    for name, value in sorted(changed.items()):
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            text = str(value).replace(store.PAPER_OPPONENTS.get(task, "?"), f"opponents/paper-{task[4:]}.npz")
+            words.append(f"--{flag} {shlex.quote(text)}")
     return " ".join(words)
 
 

@@ -1,0 +1,110 @@
+"""The notebook docs/first-steps.ipynb, made of sections of pages.
+
+    python docs/extensions/notebook_of_pages.py
+
+writes the file that is committed. It does not know where the repository is. The site's copy does, if conf.py does.
+"""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import nbformat
+from sphinx.application import Sphinx
+
+DOCS = Path(__file__).resolve().parents[1]
+FILE = DOCS / "first-steps.ipynb"
+SECTIONS = [
+    ("marl.md", "The problem"),
+    ("marl.md", "Why learning alone is not enough"),
+    ("how-to/first-steps.md", "Train one"),
+    ("how-to/first-steps.md", "The curve in Python"),
+]
+BUDGET = "--total-timesteps 400000", "--total-timesteps 200000"  # on the page, and in the notebook, for its minute
+HEAD = "# First steps\n\nMade of the pages [MARL in ten minutes](marl.md) and [First steps](how-to/first-steps.md)."
+PREPARE = """\
+import os
+import sys
+
+REPOSITORY_URL = "{address}"  # where to clone it from, if this notebook is not in a clone
+os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]  # `python` is this one
+if os.path.exists("../algos"):
+    os.chdir("..")
+elif not os.path.exists("algos"):
+    assert REPOSITORY_URL, "Write the address of the repository into this cell."
+    !git clone {{REPOSITORY_URL}} marl-baselines
+    %cd marl-baselines
+    %pip install --quiet -e '.[benchmark]'"""
+FILM = 'from IPython.display import Image\n\nImage(filename="{run}/film.gif")'
+
+
+def section(page: str, heading: str) -> str:
+    """A section of a page of docs/, with its heading."""
+    parts = re.split(r"(?m)^(?=## )", (DOCS / page).read_text(encoding="utf-8"))
+    [found] = [part for part in parts if part.startswith(f"## {heading}\n")]
+    return found
+
+
+def to_markdown(text: str, page: str, address: str) -> str:
+    """A page's text without what only Sphinx knows; its links begin at docs/, or at the repository's address."""
+
+    def link(found: re.Match) -> str:
+        target = os.path.normpath((Path(page).parent / found[1]).as_posix())
+        return f"]({address}/blob/main/docs/{target})" if address else f"]({target})"
+
+    text = re.sub(r"\{term\}`([^`<]+?)(\s*<[^`]+>)?`", r"\1", text)
+    return re.sub(r"\]\((?!https?:|#)([^)]+)\)", link, text).strip()
+
+
+def commands(block: str) -> list[str]:
+    """The code cells of a shell's command; of one that makes a film, also one that shows it."""
+    cells = [f"!{block.strip().replace(*BUDGET)}"]
+    if watched := re.search(r"--watch (\S+)", block):
+        cells.append(FILM.format(run=watched[1]))
+    return cells
+
+
+def code(language: str, block: str) -> list[str]:
+    """The code cells that a page's block becomes."""
+    if language == "bash":
+        return commands(block)
+    if language.startswith("{film}"):  # on the page a picture, here the task's team plays
+        team = f"benchmark/teams/{language.split()[1]}"
+        algorithm = json.loads((DOCS.parent / team / "config.json").read_text(encoding="utf-8"))["algorithm"]
+        return commands(f"python algos/{algorithm}.py --watch {team}")
+    return [block.strip()]
+
+
+def notebook(address: str) -> str:
+    """The notebook as the text of its file. address: the repository's, or empty where nobody knows it."""
+    cells = [
+        nbformat.v4.new_markdown_cell(to_markdown(HEAD, ".", address)),
+        nbformat.v4.new_code_cell(PREPARE.format(address=address)),
+    ]
+    for page, heading in SECTIONS:
+        # text, the block's language, the block; text, ...
+        parts = re.split(r"(?ms)^```([^\n]+)\n(.*?)^```$", section(page, heading))
+        for text, language, block in zip(parts[::3], [*parts[1::3], ""], [*parts[2::3], ""]):
+            cells += [nbformat.v4.new_markdown_cell(to_markdown(text, page, address))] if text.strip() else []
+            cells += [nbformat.v4.new_code_cell(cell) for cell in code(language, block)] if language else []
+    for number, cell in enumerate(cells):
+        cell.id = f"cell-{number}"
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    return nbformat.writes(nbformat.v4.new_notebook(cells=cells, metadata=kernel)) + "\n"
+
+
+def name_repository(app: Sphinx, exception: Exception | None) -> None:
+    """Puts the notebook with the repository's address in the place of the committed one, in the built site."""
+    for file in Path(app.outdir).glob(f"_downloads/*/{FILE.name}"):
+        file.write_text(notebook(app.config.html_theme_options["source_repository"]), encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict:
+    """Called by Sphinx."""
+    app.connect("build-finished", name_repository)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+if __name__ == "__main__":
+    FILE.write_text(notebook(""), encoding="utf-8")
