@@ -97,7 +97,7 @@ def notebook(address: str) -> str:
 def name_repository(app: Sphinx, exception: Exception | None) -> None:
     """Puts the notebook with the repository's address in the place of the committed one, in the built site."""
     for file in Path(app.outdir).glob(f"_downloads/*/{FILE.name}"):
-        file.write_text(notebook(app.config.html_theme_options["source_repository"]), encoding="utf-8")
+        file.write_text(notebook(app.config.repository), encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict:
