@@ -1,10 +1,12 @@
 """The site: `pip install -e '.[docs]' && sphinx-build docs site`. Most pages are made from scripts and results.
 
 REPOSITORY_URL, if it is set, is the address of the repository that pages link to, such as GitHub's workflow knows it.
+Links to files have the form that they have at GitHub and GitLab.
 """
 
 import os
 import sys
+import tomllib
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -13,7 +15,8 @@ sys.path[:0] = [str(HERE.parent), str(HERE / "extensions")]  # envs, and the sit
 project = "marl-baselines"
 author = "The marl-baselines authors"
 copyright = "the marl-baselines authors, MIT license"
-html_title = "marl-baselines"
+version = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+html_title = f"{project} {version}"
 repository = os.environ.get("REPOSITORY_URL", "").rstrip("/")
 
 extensions = [
@@ -51,10 +54,13 @@ pygments_dark_style = "a11y-dark"
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#1f5f8b", "color-brand-content": "#1f5f8b"},
     "dark_css_variables": {"color-brand-primary": "#8cc4ee", "color-brand-content": "#8cc4ee"},
-    "source_repository": repository,
-    "source_branch": "main",
-    "source_directory": "docs/",
 }
+if repository:
+    html_theme_options |= {
+        "source_view_link": f"{repository}/blob/main/docs/{{filename}}",
+        "source_edit_link": f"{repository}/edit/main/docs/{{filename}}",
+        "footer_icons": [{"name": "Repository", "url": repository, "html": "Repository"}],
+    }
 
 
 def name_repository(app, docname, source):

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import json
 import re
-import runpy
 import shlex
 import shutil
 import subprocess
@@ -378,6 +377,21 @@ def test_the_terms_of_what_the_numbers_are_stand_out(site):
 
 
 @pytest.mark.slow
+def test_the_map_of_seeds_marks_other_budgets_alone(site):
+    """And not the paper's opponents, which are the paper's setting in two tasks."""
+    text = (site / "explorer.html").read_text(encoding="utf-8")
+    found = re.findall(r'title="(\w+), ([\w-]+), (with sharing|without): seeds [1-9]\d*(, another budget)?"', text)
+    words = {"shared": "with sharing", "independent": "without"}
+    shown = results_data.report().shown.drop_duplicates(["task", "algorithm", "sharing"])
+    expected = [
+        (row.algorithm.upper(), row.task, words[row.sharing], ", another budget" if row.other_budget else "")
+        for row in shown.itertuples()
+        if row.task in PAPER_TASKS
+    ]
+    assert sorted(found) == sorted(expected) and len({mark for *_, mark in found}) == 2
+
+
+@pytest.mark.slow
 def test_papers_are_links(site):
     """Also where a title begins in one line of the text and ends in the next."""
     for name in script.ALGORITHMS:
@@ -638,9 +652,25 @@ def test_search_finds(site, browser, words, page):
     assert complaints(browser) == []
 
 
-def test_the_repository_is_linked_where_its_address_is_known(monkeypatch):
-    """conf.py takes it from REPOSITORY_URL; without it no address is invented."""
-    for address in ("https://example.org/us/marl-baselines/", ""):
-        monkeypatch.setenv("REPOSITORY_URL", address)
-        found = runpy.run_path(str(DOCS / "conf.py"))
-        assert found["html_theme_options"]["source_repository"] == found["repository"] == address.rstrip("/")
+def test_the_repository_is_linked_where_its_address_is_known(monkeypatch, tmp_path):
+    """At any server. conf.py takes it from REPOSITORY_URL; without it no address is invented."""
+    (tmp_path / "index.md").write_text("# A page\n\n`<this repository>`\n", encoding="utf-8")
+    address, links = "https://git.example.org/us/marl-baselines", {}
+    for known in (address + "/", ""):
+        monkeypatch.setenv("REPOSITORY_URL", known)
+        command = [sys.executable, "-m", "sphinx", "-W", "-q", "-E", "-c", str(DOCS)]
+        command += ["-D", "extensions=myst_parser,mathml", str(tmp_path), str(tmp_path / "site")]
+        built = subprocess.run(command, capture_output=True, text=True)
+        assert built.returncode == 0, built.stderr
+        page = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+        links[known] = set(re.findall(r'href="(https://[^"]*marl-baselines[^"]*)"', page))
+        assert ("&lt;this" in page) != bool(known)
+    assert links.pop("") == set()
+    [found] = links.values()
+    assert found == {address, f"{address}/blob/main/docs/index.md", f"{address}/edit/main/docs/index.md"}
+
+
+def test_what_is_published_has_no_pickles_of_sphinx():
+    """They would be in the site's folder, if -d did not name another."""
+    workflow = (ROOT / ".github/workflows/pages.yml").read_text(encoding="utf-8")
+    assert re.findall("sphinx-build (.*)", workflow) == ["-W --keep-going -d build/doctrees docs site"]

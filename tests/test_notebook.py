@@ -32,8 +32,7 @@ def test_the_sites_copy_knows_the_repository(tmp_path):
     copy = tmp_path / "_downloads" / "0123" / FILE.name
     copy.parent.mkdir(parents=True)
     copy.touch()
-    theme = {"source_repository": "https://x.y/z"}
-    app: Any = SimpleNamespace(outdir=tmp_path, config=SimpleNamespace(html_theme_options=theme))
+    app: Any = SimpleNamespace(outdir=tmp_path, config=SimpleNamespace(repository="https://x.y/z"))
     name_repository(app, None)
     assert 'REPOSITORY_URL = \\"https://x.y/z\\"' in copy.read_text(encoding="utf-8")
 

@@ -22,7 +22,13 @@ SECTIONS = [
     ("how-to/first-steps.md", "The curve in Python"),
 ]
 BUDGET = "--total-timesteps 400000", "--total-timesteps 200000"  # on the page, and in the notebook, for its minute
-HEAD = "# First steps\n\nMade of the pages [MARL in ten minutes](marl.md) and [First steps](how-to/first-steps.md)."
+HEAD = """\
+# First steps
+
+Made of the pages [MARL in ten minutes](marl.md) and [First steps](how-to/first-steps.md).
+
+The next cell prepares the rest. If this notebook is not in a clone of the repository, as in Colab, it makes one and
+installs it. If `REPOSITORY_URL` is empty there, write the repository's address between the quotation marks first."""
 PREPARE = """\
 import os
 import sys
@@ -97,7 +103,7 @@ def notebook(address: str) -> str:
 def name_repository(app: Sphinx, exception: Exception | None) -> None:
     """Puts the notebook with the repository's address in the place of the committed one, in the built site."""
     for file in Path(app.outdir).glob(f"_downloads/*/{FILE.name}"):
-        file.write_text(notebook(app.config.html_theme_options["source_repository"]), encoding="utf-8")
+        file.write_text(notebook(app.config.repository), encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict:

@@ -168,9 +168,9 @@ class SeedsMap(Directive):
                 halves = ""
                 for shared, word in (("shared", "with sharing"), ("independent", "without")):
                     seeds = int(last.get((task, name, shared), 0))
-                    other = seeds and results_data.tables_of_results()[task, name, shared][1]
+                    other = seeds and "total_timesteps" in results_data.tables_of_results()[task, name, shared][1]
                     mark = "†" if other else ""
-                    title = f"{name.upper()}, {task}, {word}: {seeds} seeds{', another budget' if other else ''}"
+                    title = f"{name.upper()}, {task}, {word}: seeds {seeds}{', another budget' if other else ''}"
                     content = f"{seeds}{mark}" if seeds else "·"
                     if seeds:
                         link = f"{self.root()}tables.html#{cell_name(task, name, shared)}"
