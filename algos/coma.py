@@ -16,8 +16,8 @@ r is the team's reward, G the n-step return, A the advantage, H the entropy, e -
 the episode ends before t + n, G has the rewards up to there, plus Q' of the last state after a
 time-out, and nothing after a real end.
 With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
-In the mean the baseline changes nothing; it takes away the noise of what the others do. For it is
-the same number b whatever action agent i takes, and the policy's mean of b grad log pi is
+On average the baseline changes nothing; it takes away the noise of what the others do. It is a
+number b that does not depend on agent i's action, and the policy's mean of b grad log pi is
 b grad sum_a pi(a) = b grad 1 = 0.
 
 Algorithm: Foerster et al., "Counterfactual Multi-Agent Policy Gradients" (2018). There the targets
