@@ -1030,7 +1030,7 @@ def test_timing_needs_no_room_for_a_whole_replay(monkeypatch, tmp_path):
         sizes.append(size)
         return file(path, fields, size, played)
 
-    monkeypatch.setattr(time_training.runs, "EpisodeFile", noted)
+    monkeypatch.setattr(envs.runs.run, "EpisodeFile", noted)
     flags = ["--env", "matrix-climbing", "--batch-size", "4", "--hidden-dim", "8"]
     setting, (rate, *shares) = time_training.measure("vdn", flags, 0.05)
     assert rate > 0 and setting.endswith(" shared")
