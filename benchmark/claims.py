@@ -43,7 +43,7 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from types import CodeType
@@ -402,12 +402,6 @@ class Claim:
         return f"{place} ({', '.join(parts)})"
 
 
-def read_claims() -> list[Claim]:
-    """The claims of benchmark/paper/claims.csv."""
-    with open(PAPER / "claims.csv", encoding="utf-8", newline="") as file:
-        return [Claim(**row) for row in csv.DictReader(file)]
-
-
 def verdict_of(outcomes: dict[str, bool | None], enough: int) -> str:
     """Whether the expression holds on enough tasks, as soon as those that are not measured cannot change it."""
     number = Counter(outcomes.values())
@@ -448,8 +442,9 @@ def sharing_significant(view: View) -> Verdict:
     return Verdict(verdict, f"{figures}: {shown}" if found else figures)
 
 
-CODE: dict[str, Callable[[View], Verdict]] = {"sharing_significant": sharing_significant}
-CLAIMS = read_claims()
+CODE = {"sharing_significant": sharing_significant}
+with open(PAPER / "claims.csv", encoding="utf-8", newline="") as claims_file:
+    CLAIMS = [Claim(**row) for row in csv.DictReader(claims_file)]
 
 
 # --- verdicts ---
