@@ -1,11 +1,9 @@
 """A campaign: as many runs of a plan at once as there is room for, each collected when it is complete."""
 
 import contextlib
-import errno
 import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import time
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import filelock
+from tqdm import tqdm
 
 from benchmark import store
 from benchmark.plan import PlannedRun
@@ -23,8 +22,6 @@ from envs.runs import say
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 STOPPED = {code for number in SIGNALS for code in (-number, 128 + number)}  # exit codes of a run that was asked to stop
-FULL = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT)]  # the disk, or the user's part of it
-LEAST_FREE = 2**20  # bytes; a run on a fuller disk cannot even say why it fails
 MOST_LOSSES = 3  # a run that is lost more often has failed
 LINES_EVERY = 300  # seconds between two looks at how far the runs are
 HEADER = f"{'task':<24} {'algorithm':<20} {'seed':>4} {'done':>5} {'steps/s':>9} {'return':>9} {'time left':>10}"
@@ -82,12 +79,11 @@ class Campaign:
     def __init__(
         self,
         runs: list[PlannedRun],
-        folder: Path,
         results: Path,
         start: Callable[[PlannedRun], Job],
         places: Callable[[], int],
     ):
-        self.plan, self.folder, self.results, self.start, self.places = runs, folder, results, start, places
+        self.plan, self.results, self.start, self.places = runs, results, start, places
         self.waiting = deque(runs)
         self.jobs: dict[Path, tuple[PlannedRun, Job]] = {}
         self.done: set[Path] = set()
@@ -181,9 +177,6 @@ class Campaign:
         """A run cannot be completed, or not be collected."""
         self.failed[run.directory] = reason
         say(f"{run}: failed, {reason}")
-        full = shutil.disk_usage(self.folder).free < LEAST_FREE
-        if full or any(sentence in reason for sentence in FULL):  # every other run would fail, too
-            self.problem = "The disk is full: no further run is started. Once there is room, the same command goes on."
 
     def finish(self, run: PlannedRun, code: int, lost: bool) -> None:
         """A job has ended. ValueError where its files are damaged."""
@@ -286,14 +279,8 @@ def table_row(run: PlannedRun) -> str:
     said, rate, last, left = read_progress(run.directory), "", "", ""
     if said and said["steps_per_second"]:
         rate = f"{said['steps_per_second']:,.0f}"
-        left = duration(max(said["total_timesteps"] - said["timestep"], 0) / said["steps_per_second"])
+        left = tqdm.format_interval(max(said["total_timesteps"] - said["timestep"], 0) / said["steps_per_second"])
     for key in ("training_return", "evaluation_return"):
         last = last if said.get(key) is None else f"{said[key]:,.2f}"
     name = f"{run.algorithm} {run.sharing}"
     return f"{run.task:<24} {name:<20} {run.seed:>4} {share_done(run.directory):>5.0%} {rate:>9} {last:>9} {left:>10}"
-
-
-def duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"

@@ -22,7 +22,9 @@ benchmark/paper/claims.csv.
     matches_best(a)                   the best, or not significantly different from it
     competitive_tasks(a)              on how many tasks of the family it is competitive
     improved                          how many algorithms are higher with parameter sharing than without
-    shared, alone                     the family's mean scaled value with and without sharing
+    shared, alone                     the mean scaled value with and without sharing, in a task or in all of a family
+    gain, gain_in(lbf)                shared less alone, here or in another set
+    apart(a, b), apart(a, b, mpe)     how far they are apart on the scale, the mean over the family or another set
 
 "Significantly" is a two-sided Student t-test at 0.05, as the paper's asterisks. It needs two seeds, and where it finds
 no difference, five: fewer could only mean that there are too few. A maximum that lies before training is the luck of
@@ -41,9 +43,9 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from types import CodeType
 from typing import Any, NamedTuple
 
@@ -74,6 +76,7 @@ SETS = {"all": TASKS} | {name: tuple(task for task in TASKS if family(task) == n
 SETS["hard_smac"] = ("smac-corridor", "smac-MMM2")
 SETS["large_lbf"] = tuple(task for task in SETS["lbf"] if "15x15" in task)
 SETS["small_lbf"] = tuple(task for task in SETS["lbf"] if "15x15" not in task)
+SETS["tiny_4p"] = ("rware-tiny-4p",)
 SETS["fully_observable"] = (
     *("mpe-spread", "mpe-adversary", "mpe-tag"),
     *(task for task in SETS["lbf"] if "2s" not in task),
@@ -105,14 +108,12 @@ class Verdict:
 
     outcomes: by task or family, whether the expression holds there; None where it is not measured.
     rests_on: the cells that carry it, and what one seed more of each would cost; empty where all have five seeds.
-    stays: the share of the completed tables that give the same verdict.
     """
 
     verdict: str
     figures: str
     outcomes: dict[str, bool | None] = field(default_factory=dict)
     rests_on: str = ""
-    stays: float = 1.0
 
 
 # --- what claims look at ---
@@ -125,12 +126,11 @@ def one_game(cells: pd.DataFrame) -> pd.DataFrame:
     return cells.merge(chosen[["metric", "sharing", "paper_task", "task"]])
 
 
+@dataclass(frozen=True)
 class View:
     """The cells of a set of results, as claims look at them."""
 
-    def __init__(self, cells: dict[Key, Cell]):
-        self.cells = cells
-        self.kept: dict[tuple[str, str, str], dict[str, float]] = {}
+    cells: dict[Key, Cell]
 
     @classmethod
     def of(cls, cells: pd.DataFrame) -> "View":
@@ -138,16 +138,11 @@ class View:
         if "paper_task" not in cells:
             keys = pd.MultiIndex.from_frame(cells[["metric", "sharing", "task", "algorithm"]])
             cells = cells.assign(paper_task=cells["task"], other_budget=False, at_start=keys.isin(UNTRAINED))
-        found = {}
-        untrained = []
-        for row in one_game(cells[~cells["other_budget"]]).rename(columns={"mean": "value"}).itertuples():
-            key = row.metric, row.sharing, row.paper_task, row.algorithm
-            found[key] = Cell(row.value, row.interval, row.seeds)
-            if row.at_start and row.metric == "max_return":
-                untrained.append(key)
-        for metric, *where in untrained:
-            found[metric, *where] = found["average_return", *where]
-        return cls(found)
+        rows = one_game(cells[~cells["other_budget"]])
+        keys = [*rows[["metric", "sharing", "paper_task", "algorithm"]].itertuples(index=False, name=None)]
+        found = dict(zip(keys, map(Cell, rows["mean"], rows["interval"], rows["seeds"])))
+        untrained = [key for key, at_start in zip(keys, rows["at_start"]) if at_start and key[0] == "max_return"]
+        return cls(found | {key: found["average_return", *key[1:]] for key in untrained})
 
     def cell(self, metric: str, sharing: str, task: str, algorithm: str) -> Cell:
         """One cell. Raises NotMeasured."""
@@ -158,10 +153,7 @@ class View:
 
     def values(self, metric: str, sharing: str, task: str) -> dict[str, float]:
         """All nine algorithms' values. Raises NotMeasured."""
-        key = sharing, metric, task
-        if key not in self.kept:
-            self.kept[key] = {name: self.cell(metric, sharing, task, name).value for name in ALGORITHMS}
-        return self.kept[key]
+        return {name: self.cell(metric, sharing, task, name).value for name in ALGORITHMS}
 
 
 def position(value: float, values: Iterable[float]) -> float:
@@ -219,11 +211,22 @@ class Scope:
 
     @property
     def shared(self) -> float:
-        return means_with_and_without(self.view, SETS[self.place])[0]
+        return means_with_and_without(self.view, SETS.get(self.place, (self.place,)))[0]
 
     @property
     def alone(self) -> float:
-        return means_with_and_without(self.view, SETS[self.place])[1]
+        return means_with_and_without(self.view, SETS.get(self.place, (self.place,)))[1]
+
+    @property
+    def gain(self) -> float:
+        return self.shared - self.alone
+
+    def gain_in(self, place: str) -> float:
+        return self.at(place).gain
+
+    def apart(self, algorithm: str, other: str, place: str = "") -> float:
+        scopes = [self.at(task) for task in SETS[place or self.place]]
+        return float(np.mean([abs(scope.scaled(algorithm) - scope.scaled(other)) for scope in scopes]))
 
     def scaled(self, algorithm: str) -> float:
         return position(self.cell(algorithm).value, self.values().values())
@@ -277,15 +280,17 @@ class Scope:
 
 
 # --- expressions ---
-NAMES = ("best", "improved", "shared", "alone")
+NAMES = ("best", "improved", "shared", "alone", "gain")
 OF_NUMBERS = {"max": max, "min": min, "abs": abs}
 OF_ALGORITHMS = {
-    *("scaled", "lower", "competitive", "similar", "significantly_above", "matches_best", "competitive_tasks")
+    *("scaled", "lower", "competitive", "similar", "significantly_above", "matches_best", "competitive_tasks"),
+    *("gain_in", "apart"),
 }
-BOTH_SHARINGS = {"improved", "shared", "alone"}
+BOTH_SHARINGS = {"improved", "shared", "alone", "gain"}
 OF_ALL_NINE = {*NAMES, *OF_ALGORITHMS} - {"significantly_above"}
 
 
+@cache
 def compiled(expression: str) -> CodeType:
     """An expression as `eval` takes it with a `Scope`. What stands in the brackets of a function of `OF_ALGORITHMS`
     are names, not values."""
@@ -325,11 +330,6 @@ class Claim:
         return tuple(found)
 
     @cached_property
-    def code(self) -> CodeType:
-        """The expression, `compiled`."""
-        return compiled(self.expression)
-
-    @cached_property
     def named(self) -> list[str]:
         """The words in the expression, in order, each once."""
         return list(dict.fromkeys(re.findall("[a-z][a-z0-9_]*", self.expression)))
@@ -349,7 +349,7 @@ class Claim:
             algorithms: Iterable[str] = ALGORITHMS
         else:
             algorithms = [name for name in ALGORITHMS if name in named]
-        for place in self.places:
+        for place in (*self.places, *(name for name in self.named if name in SETS)):
             for task in SETS.get(place, (place,)):
                 for sharing in SHARING.values() if alone else (SHARED,):
                     yield from ((self.metric, sharing, task, name) for name in algorithms)
@@ -365,7 +365,7 @@ class Claim:
         for place in self.places:
             scope: Any = Scope(view, place, self.metric)
             try:
-                outcomes[place] = bool(eval(self.code, {}, scope))
+                outcomes[place] = bool(eval(compiled(self.expression), {}, scope))
             except NotMeasured:
                 outcomes[place] = None
         return Verdict(verdict_of(outcomes, self.enough()), "", outcomes)
@@ -402,40 +402,23 @@ class Claim:
         return f"{place} ({', '.join(parts)})"
 
 
-def read_claims() -> list[Claim]:
-    """The claims of benchmark/paper/claims.csv."""
-    with open(PAPER / "claims.csv", encoding="utf-8", newline="") as file:
-        return [Claim(**row) for row in csv.DictReader(file)]
-
-
 def verdict_of(outcomes: dict[str, bool | None], enough: int) -> str:
     """Whether the expression holds on enough tasks, as soon as those that are not measured cannot change it."""
     number = Counter(outcomes.values())
     return HOLDS if number[True] >= enough else FAILS if number[True] + number[None] < enough else UNKNOWN
 
 
-# --- claims that compare tasks or families with each other ---
-def vdn_qmix_mpe(view: View) -> Verdict:
-    """By the mean difference of the normalised maxima."""
-    apart = {}
-    for name in ("mpe", "smac", "lbf", "rware"):
-        scopes = [Scope(view, task, "max_return") for task in SETS[name]]
-        apart[name] = np.mean([abs(scope.scaled("vdn") - scope.scaled("qmix")) for scope in scopes])
-    figures = ", ".join(f"{name} {gap:.2f}" for name, gap in apart.items())
-    return Verdict(HOLDS if apart["mpe"] == max(apart.values()) else FAILS, figures)
-
-
+# --- a claim that compares pairs of algorithm and task with each other ---
 def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, float]:
     """The means of the normalised maximum returns with and without sharing; normalised over both. Tasks on which all
     returns are equal do not count; where there are no others, both means are 0."""
-    shared, alone = [], []
+    means = []
     for task in tasks:
-        values = {sharing: [*view.values("max_return", sharing, task).values()] for sharing in SHARING.values()}
-        low, high = min(values[SHARED] + values[INDEPENDENT]), max(values[SHARED] + values[INDEPENDENT])
-        if high > low:
-            shared += [(value - low) / (high - low) for value in values[SHARED]]
-            alone += [(value - low) / (high - low) for value in values[INDEPENDENT]]
-    return sum(shared) / max(len(shared), 1), sum(alone) / max(len(alone), 1)
+        values = np.array([[*view.values("max_return", sharing, task).values()] for sharing in SHARING.values()])
+        if np.ptp(values):
+            means.append((values.mean(axis=1) - values.min()) / np.ptp(values))
+    shared, alone = np.mean(means, axis=0) if means else (0.0, 0.0)
+    return shared, alone
 
 
 def sharing_significant(view: View) -> Verdict:
@@ -459,28 +442,9 @@ def sharing_significant(view: View) -> Verdict:
     return Verdict(verdict, f"{figures}: {shown}" if found else figures)
 
 
-def sharing_sparse(view: View) -> Verdict:
-    """In LBF."""
-    large, small = (means_with_and_without(view, SETS[name]) for name in ("large_lbf", "small_lbf"))
-    gains = large[0] - large[1], small[0] - small[1]
-    figures = "gains of {:.2f} on 15x15, {:.2f} on 8x8 and 10x10".format(*gains)
-    return Verdict(HOLDS if gains[0] > gains[1] else FAILS, figures)
-
-
-def sharing_rware(view: View) -> Verdict:
-    """In RWARE."""
-    means = {task: means_with_and_without(view, [task]) for task in SETS["rware"]}
-    gains = {task: shared - alone for task, (shared, alone) in means.items()}
-    simple = gains.pop("rware-tiny-4p")
-    figures = ", ".join(f"{task} {gain:.2f}" for task, gain in gains.items())
-    verdict = HOLDS if min(gains.values()) > simple else FAILS
-    return Verdict(verdict, f"gains: {figures}, rware-tiny-4p {simple:.2f}")
-
-
-CODE: dict[str, Callable[[View], Verdict]] = {
-    each.__name__: each for each in (vdn_qmix_mpe, sharing_significant, sharing_sparse, sharing_rware)
-}
-CLAIMS = read_claims()
+CODE = {"sharing_significant": sharing_significant}
+with open(PAPER / "claims.csv", encoding="utf-8", newline="") as claims_file:
+    CLAIMS = [Claim(**row) for row in csv.DictReader(claims_file)]
 
 
 # --- verdicts ---
@@ -534,7 +498,7 @@ def one_verdict(
     drawn = [claim.judge(table) for table in tables]
     stays = float(np.mean([each.verdict == found.verdict for each in drawn]))
     if stays >= 1 - TURNED:
-        return replace(found, rests_on=cells_text("", shown(claim, view, carrying), hours), stays=stays)
+        return replace(found, rests_on=cells_text("", shown(claim, view, carrying), hours))
     turning = {
         place
         for place, holds in found.outcomes.items()
@@ -543,7 +507,7 @@ def one_verdict(
     tasks = {task for place in turning for task in SETS.get(place, (place,))}
     deciding = shown(claim, view, {key for key in carrying if key[2] in tasks} or carrying)
     words = f"{found.verdict} as it is, and in {100 * stays:.0f} % of the completed tables; "
-    return replace(found, verdict=CLOSE, rests_on=cells_text(words, deciding, hours), stays=stays)
+    return replace(found, verdict=CLOSE, rests_on=cells_text(words, deciding, hours))
 
 
 def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
@@ -551,11 +515,10 @@ def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
     where the claim is code."""
     if claim.needed == "code":
         return cells
-    best = {}
-    for key in cells:
-        there = {other: cell.value for other, cell in view.cells.items() if other[:3] == key[:3]}
-        best[key] = there[key] == max(there.values())
-    return {key for key in cells if key[3] in claim.named or best[key]} or cells
+    highest: dict[tuple[str, ...], float] = {}
+    for key, cell in view.cells.items():
+        highest[key[:3]] = max(cell.value, highest.get(key[:3], -math.inf))
+    return {key for key in cells if key[3] in claim.named or view.cells[key].value == highest[key[:3]]} or cells
 
 
 def cells_text(words: str, cells: set[Key], hours: dict[tuple[str, str, str], float]) -> str:

@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +50,6 @@ LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: 
 
 
 # --- on the nodes ---
-def pieces(path: Path) -> Iterator[bytes]:
-    """A file's bytes."""
-    with open(path, "rb") as file:
-        while piece := file.read(PIECE):
-            yield piece
-
-
 def read_files(directory: Path, largest_replay: float = math.inf) -> Files:
     """All that a run needs to go on elsewhere; nothing where it has no checkpoint, or makes one at this moment, or has
     a larger replay than wanted.
@@ -69,8 +62,11 @@ def read_files(directory: Path, largest_replay: float = math.inf) -> Files:
         return {}
     try:
         before = last.stat()
-        paths = [path for path in directory.iterdir() if path.is_file() and path.name not in STAYS]
-        files = {path.name: [ray.put(piece) for piece in pieces(path)] for path in paths}
+        files: Files = {}
+        for path in directory.iterdir():
+            if path.is_file() and path.name not in STAYS:
+                with open(path, "rb") as file:
+                    files[path.name] = [ray.put(piece) for piece in iter(functools.partial(file.read, PIECE), b"")]
         after = last.stat()
     except FileNotFoundError:  # a file took another's place
         return {}

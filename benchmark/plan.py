@@ -72,15 +72,6 @@ def script_flags(task: str, sharing: str, flags: Flags) -> list[str]:
     return ["--env", task, as_flag("parameter_sharing", sharing == "shared"), *flags]
 
 
-def chosen_algorithms(words: list[str]) -> list[str]:
-    """The scripts with these names; "all": every one. InputError for a name that is none."""
-    names = script_names()
-    for word in words:
-        if word not in (*names, "all"):
-            raise envs.InputError(f"unknown algorithm {word!r}; there are {', '.join(names)}.")
-    return list(dict.fromkeys(name for word in words for name in (names if word == "all" else [word])))
-
-
 def chosen_tasks(words: list[str]) -> list[str]:
     """Tasks by name, by family, or "all" of the paper's. InputError for a word that is none of these."""
     by_family: dict[str, list[str]] = {"all": envs.task_names()}
@@ -135,17 +126,15 @@ def make_plan(
     runs: Path,
 ) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""
-    settings: dict[str, dict[str, Any]] = {}  # each once
+    settings = []
     for task, algorithm, sharing in itertools.product(tasks, algorithms, sharings):
         family = envs.task(task).family
         chosen = [()] if grid is None else list(variants(grid, algorithm, family))
         if chosen == [()] and grid is not None:
             raise envs.InputError(f"the grid has no line for {algorithm} on tasks of the family {family}.")
-        for variant in chosen:
-            setting = make_setting(algorithm, task, sharing, (*variant, *flags))
-            settings[json.dumps([task, algorithm, sharing, setting["changed"]], sort_keys=True)] = setting
+        settings += [make_setting(algorithm, task, sharing, (*variant, *flags)) for variant in chosen]
     plan = []
-    for seed, setting in itertools.product(range(seeds), settings.values()):
+    for seed, setting in itertools.product(range(seeds), settings):
         name = setting["algorithm"], setting["task"], setting["sharing"] == "shared"
         plan.append(PlannedRun(**setting, seed=seed, directory=run_path(runs, *name, seed, setting["changed"])))
     if len({run.directory for run in plan}) < len(plan):

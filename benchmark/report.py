@@ -51,7 +51,7 @@ from benchmark.store import (
     paper_cells,
     speeds,
 )
-from envs import runs
+from envs import InputError, runs
 from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
@@ -376,7 +376,7 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
     made: dict = {}
     chosen = evaluations[evaluations["setting"] == PAPER_SETTING]
     if chosen.empty:
-        raise ValueError("marl-eval's file is made of runs with default flags, and there are none.")
+        raise InputError("marl-eval's file is made of runs with default flags, and there are none.")
     for (family, task, algorithm, sharing, seed), run in chosen.groupby(
         ["family", "task", "algorithm", "sharing", "seed"], sort=False
     ):
@@ -405,12 +405,12 @@ def evaluations_csv(evaluations: pd.DataFrame) -> str:
 
 
 def between_markers(path: Path, text: str) -> str:
-    """The file's text with `text` between the markers. Raises ValueError where the file lacks them."""
+    """The file's text with `text` between the markers. Raises InputError where the file lacks them."""
     whole = path.read_text(encoding="utf-8")
     before, begin, rest = whole.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
-        raise ValueError(f"{path} does not have the two lines between which the results stand: {BEGIN} and {END}")
+        raise InputError(f"{path} does not have the two lines between which the results stand: {BEGIN} and {END}")
     return f"{before}{BEGIN}\n\n{text}\n\n{END}{after}"
 
 
@@ -423,27 +423,23 @@ def main() -> None:
     parser.add_argument("--marl-eval", type=Path, help="also write the evaluations to this file, in marl-eval's JSON")
     parser.add_argument("--grid", type=Path, metavar="folder", help="only print what a search in this folder found")
     args = parser.parse_args()
-    try:
-        if args.grid:
-            print(tables.variants(load(args.grid)))
-            return
-        report = Report(args.results)
-        if args.marl_eval:  # first: where this cannot be written, the others stay as they are
-            runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
-        (args.output / "figures").mkdir(parents=True, exist_ok=True)
-        texts = {
-            args.output / "RESULTS.md": report.long() + "\n",
-            args.output / "tables.csv": tables.to_csv(report.both),
-        }
-        if args.output.resolve() == HERE:
-            texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
-        for name, draw in report.figures().items():
-            plots.save(draw(), args.output / "figures" / name, report.digest)
-        for path, text in texts.items():
-            runs.write_whole(path, text)
-        (args.output / "evaluations.csv.gz").write_bytes(gzip.compress(evaluations_csv(report.evaluations).encode()))
-    except (ValueError, OSError) as error:  # no results, damaged ones, no markers, a full disk
-        parser.error(str(error))
+    if args.grid:
+        print(tables.variants(load(args.grid)))
+        return
+    report = Report(args.results)
+    if args.marl_eval:  # first: where this cannot be written, the others stay as they are
+        runs.write_whole(args.marl_eval, json.dumps(marl_eval(report.evaluations)))
+    (args.output / "figures").mkdir(parents=True, exist_ok=True)
+    texts = {args.output / "RESULTS.md": report.long() + "\n", args.output / "tables.csv": tables.to_csv(report.both)}
+    if args.output.resolve() == HERE:
+        texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
+    for name, draw in report.figures().items():
+        plots.save(draw(), args.output / "figures" / name, report.digest)
+    for path, text in texts.items():
+        runs.write_whole(path, text)
+    (args.output / "evaluations.csv.gz").write_bytes(
+        gzip.compress(evaluations_csv(report.evaluations).encode(), mtime=0)
+    )
     print(f"The report is in {args.output}. Texts: {len(texts)}. Figures: {len(report.figures())}.")
 
 

@@ -24,9 +24,11 @@ from pathlib import Path
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from tqdm import tqdm
+
 import envs
 from benchmark import plan, store
-from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, duration, share_done
+from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, share_done
 from benchmark.plan import PlannedRun
 from envs.runs import one_sentence
 
@@ -65,17 +67,23 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
         print(f"{' '.join(setting[:3])}{changed}: {len(steps)} run{'s' * (len(steps) != 1)}, {known}")
     if hours:
         total, number = sum(hours.values()), sum(len(left[setting]) for setting in hours)
-        wait = duration(total * 3600 / min(jobs, number))
+        wait = tqdm.format_interval(total * 3600 / min(jobs, number))
         print(f"\nIn all {total:.1f} core hours, with --jobs {jobs} about {wait} (h:min:s).")
-    if hours and len(hours) < len(left):
-        print(f"Not counted: {len(left) - len(hours)} of {len(left)} settings.")
     return code
 
 
 def parse() -> argparse.Namespace:
     """Reads the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--algorithms", nargs="+", required=True, metavar="name", help="scripts of algos/, or all")
+    names = plan.script_names()
+    parser.add_argument(
+        "--algorithms",
+        nargs="+",
+        required=True,
+        metavar="name",
+        choices=[*names, "all"],
+        help="scripts of algos/, or all",
+    )
     parser.add_argument(
         "--tasks",
         nargs="+",
@@ -111,8 +119,10 @@ def run_campaign(args: argparse.Namespace) -> int:
     seeds = args.seeds or (GRID_SEEDS if args.grid else SEEDS)
     results = args.results or (store.HERE / "searches" / args.grid.stem if args.grid else store.RESULTS)
     grid = plan.read_grid(args.grid) if args.grid else None
-    algorithms, tasks = plan.chosen_algorithms(args.algorithms), plan.chosen_tasks(args.tasks)
-    runs = plan.make_plan(algorithms, tasks, sharings, seeds, tuple(args.flags), grid, args.runs.resolve())
+    algorithms = plan.script_names() if "all" in args.algorithms else [*dict.fromkeys(args.algorithms)]
+    runs = plan.make_plan(
+        algorithms, plan.chosen_tasks(args.tasks), sharings, seeds, tuple(args.flags), grid, args.runs.resolve()
+    )
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     jobs = args.jobs or cores
     if not args.results:
@@ -132,7 +142,7 @@ def run_campaign(args: argparse.Namespace) -> int:
         start, places = functools.partial(cluster.RayJob, cluster=connection), connection.places
     args.runs.mkdir(parents=True, exist_ok=True)
     store.lock(results)  # that it cannot be written is to be known before hours of runs
-    campaign = Campaign(runs, args.runs.resolve(), results, start, places)
+    campaign = Campaign(runs, results, start, places)
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN or number == signal.SIGINT:  # nohup has SIGHUP ignored
             signal.signal(number, campaign.ask_to_stop)

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 import envs
-from envs import runs
+from envs import InputError, runs
 from envs.runs.flags import NOT_IN_DIRECTORY
 
 HERE = Path(__file__).resolve().parent
@@ -66,7 +66,7 @@ def family(task: str) -> str:
     """The paper's family of a task, whose budgets and hyperparameters it takes; "other" where it is of none."""
     try:
         return envs.task(task).family or "other"
-    except envs.InputError:  # a name of another version
+    except InputError:  # a name of another version
         return "other"
 
 
@@ -94,7 +94,7 @@ def table_path(results: Path, algorithm: str, task: str, sharing: str, changed: 
 
 # --- reading ---
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
-    """The settings of a run or of a table, in the words of this version. ValueError where a part is missing or of
+    """The settings of a run or of a table, in the words of this version. InputError where a part is missing or of
     another type than in PARTS.
 
     more: further parts and their types.
@@ -102,31 +102,31 @@ def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
     try:
         said = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
+        raise InputError(f"{file} is damaged: {error}") from error
     if not isinstance(said, dict) or not isinstance(said.get("flags"), dict):
-        raise ValueError(f"{file} is damaged: it has no flags")
+        raise InputError(f"{file} is damaged: it has no flags")
     found = said["flags"] | said
     if wrong := [name for name, kind in (PARTS | more).items() if not isinstance(found.get(name), kind)]:
-        raise ValueError(f"{file} is damaged, or of an older version: what it says of {', '.join(wrong)} is not valid")
+        raise InputError(f"{file} is damaged, or of an older version: what it says of {', '.join(wrong)} is not valid")
     return runs.renewed_config(said)
 
 
 def read_settings(path: Path) -> dict[str, Any]:
     """A table's JSON, path without its suffix; where there is none, that of a table without seeds.
 
-    ValueError where it is damaged.
+    InputError where it is damaged.
     """
     file = Path(f"{path}.json")
     if not file.exists():
         return {"seeds": {}}
     settings = read_json(file, {"seeds": dict})
     if not all(seed.isdecimal() and isinstance(origin, dict) for seed, origin in settings["seeds"].items()):
-        raise ValueError(f"{file} is damaged: what it says of its seeds is not valid")
+        raise InputError(f"{file} is damaged: what it says of its seeds is not valid")
     return settings
 
 
 def read_evaluations(file: Path, columns: list[str]) -> pd.DataFrame:
-    """The evaluations of a run or of a table, as numbers. ValueError where they are not as they were written.
+    """The evaluations of a run or of a table, as numbers. InputError where they are not as they were written.
 
     columns: must be there, with a number in every row. The statistics that a family has beyond them may be missing:
     a game that crashed has none.
@@ -142,7 +142,7 @@ def read_evaluations(file: Path, columns: list[str]) -> pd.DataFrame:
         if np.isinf(numbers).any() or table[columns].isna().any(axis=None):
             raise ValueError("it has a number that is missing or infinite")
     except ValueError as error:
-        raise ValueError(f"{file} is damaged: {str(error).strip()}") from error
+        raise InputError(f"{file} is damaged: {str(error).strip()}") from error
     return table
 
 
@@ -154,7 +154,7 @@ def read_text(file: Path) -> pd.DataFrame:
 def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
     """A table's evaluations of the seeds that its settings list; path without its suffix.
 
-    ValueError where it is damaged: each seed has the points 0, 1, ..., all equally many, up to the budget.
+    InputError where it is damaged: each seed has the points 0, 1, ..., all equally many, up to the budget.
     """
     file = Path(f"{path}.csv")
     if not settings["seeds"] and not file.exists():
@@ -166,9 +166,9 @@ def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
         return table
     points = len(table) // len(seeds)
     if not points or [*zip(table["seed"], table["point"])] != [*itertools.product(seeds, range(points))]:
-        raise ValueError(f"{file} is damaged: evaluations are missing or there twice")
+        raise InputError(f"{file} is damaged: evaluations are missing or there twice")
     if table["timestep"].iloc[points - 1 :: points].min() < settings["flags"]["total_timesteps"]:
-        raise ValueError(f"{file} is damaged: the last evaluations are missing")
+        raise InputError(f"{file} is damaged: the last evaluations are missing")
     return table
 
 
@@ -197,13 +197,13 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
         }
         tables.append(table.assign(**columns))
     if not tables:
-        raise ValueError(f"there are no results in {results}")
+        raise InputError(f"there are no results in {results}")
     return pd.concat(tables, ignore_index=True)
 
 
 def step_costs(*folders: Path) -> dict[tuple[str, str, str, str], float]:
     """CPU seconds that a timestep took, evaluations included: the mean over the seeds of each setting in these results,
-    by task, algorithm, sharing and setting, whose length does not count. ValueError where one is damaged."""
+    by task, algorithm, sharing and setting, whose length does not count. InputError where one is damaged."""
     costs: dict[tuple[str, str, str, str], list[float]] = {}
     for file in sorted(file for results in folders for file in results.glob("*/*.json")):
         settings = read_settings(file.with_suffix(""))
@@ -237,24 +237,24 @@ class Run:
     script: Path
 
 
-class NotComplete(ValueError):
+class NotComplete(InputError):
     """A run has not reached its end."""
 
 
 def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The config and the evaluations of a complete run. Raises NotComplete, or ValueError where they are damaged."""
+    """The config and the evaluations of a complete run. Raises NotComplete, or InputError where they are damaged."""
     config = read_json(directory / "config.json", {"seed": int})
     path = directory / "evaluations.csv"
     if not path.exists() or not path.stat().st_size:
         raise NotComplete("it is not complete")
     numbers = read_evaluations(path, COLUMNS)
     if list(numbers["point"]) != list(range(len(numbers))):
-        raise ValueError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
+        raise InputError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
     if numbers.empty or numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
         raise NotComplete("it is not complete")
     planned = config["flags"].get("eval_points", len(numbers))
     if len(numbers) != planned and "total_timesteps" not in config["changed"]:
-        raise ValueError(
+        raise InputError(
             f"it was lengthened to the paper's budget and has {len(numbers)} evaluations instead of {planned}, so its "
             "best one does not compare with that of other runs"
         )
@@ -262,7 +262,7 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
 
 
 def has(run: Run, results: Path) -> bool:
-    """Whether the results hold this run. ValueError for a damaged table, and where `check_script` raises it."""
+    """Whether the results hold this run. InputError for a damaged table, and where `check_script` raises it."""
     path = table_path(results, run.algorithm, run.task, run.sharing, run.changed)
     settings = read_settings(path)
     read_table(path, settings)
@@ -273,12 +273,12 @@ def has(run: Run, results: Path) -> bool:
 
 
 def check_script(path: Path, algorithm: str, script: str | None, origins: Iterable[dict[str, Any]]) -> None:
-    """ValueError where the seeds of a table were made with another text of an algorithm of one's own.
+    """InputError where the seeds of a table were made with another text of an algorithm of one's own.
 
     The nine scripts compute the same from version to version, and only their comments change.
     """
     if algorithm not in ALGORITHMS and any(origin.get("script") != script for origin in origins):
-        raise ValueError(
+        raise InputError(
             f"{path}.csv holds runs of another text of {algorithm}.py: give the new one another name, or keep its "
             "results elsewhere with --results"
         )
@@ -287,7 +287,7 @@ def check_script(path: Path, algorithm: str, script: str | None, origins: Iterab
 def condition(run: Run, results: Path) -> str:
     """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new".
 
-    ValueError where its table of the results is damaged, or its directory holds a damaged or another run.
+    InputError where its table of the results is damaged, or its directory holds a damaged or another run.
     """
     if has(run, results):
         return "in the results"
@@ -297,7 +297,7 @@ def condition(run: Run, results: Path) -> str:
     there, wanted = config["changed"] | {"seed": config["flags"]["seed"]}, run.changed | {"seed": run.seed}
     different = sorted(name for name in there.keys() | wanted.keys() if there.get(name) != wanted.get(name))
     if different:
-        raise ValueError(
+        raise InputError(
             f"{run.directory} holds a run with another {', '.join(different)}: move it away, or keep the campaign's "
             "runs elsewhere with --runs"
         )
@@ -311,22 +311,22 @@ def condition(run: Run, results: Path) -> str:
 def bring_in(run: Run, results: Path) -> str:
     """The `condition` of a run after a complete one has been collected: "in the results", "begun" or "new".
 
-    ValueError as there, and where a complete run cannot be collected.
+    InputError as there, and where a complete run cannot be collected.
     """
     there = condition(run, results)
     if there != "complete":
         return there
     try:
         collect(run.directory, results)
-    except (ValueError, OSError) as error:  # ValueError: it does not fit to the other seeds
-        raise ValueError(f"complete, but not collected: {error} ({run.directory})") from error
+    except (InputError, OSError) as error:  # InputError: it does not fit to the other seeds
+        raise InputError(f"complete, but not collected: {error} ({run.directory})") from error
     return "in the results"
 
 
 def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> Path:
     """Puts a complete run into the results; gives the path of its table.
 
-    Raises ValueError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
+    Raises InputError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
     then are as they were. Several processes may collect into the same folder.
     """
     config, rows = read_run(directory)
@@ -337,11 +337,11 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
     table_file, settings_file = Path(f"{path}.csv"), Path(f"{path}.json")
     with lock(results):
         settings = read_settings(path)
-        read_table(path, settings)  # ValueError where it is damaged
+        read_table(path, settings)  # InputError where it is damaged
         table = read_text(table_file) if table_file.exists() else pd.DataFrame({"seed": []})
         seed = str(flags["seed"])
         if not settings["seeds"] and set(table["seed"]) - {seed}:
-            raise ValueError(
+            raise InputError(
                 f"{table_file} holds other seeds, but {settings_file.name}, which lists them, is missing: bring it "
                 "back, or move the table away and collect all seeds again"
             )
@@ -349,7 +349,7 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
             there = table.loc[table["seed"] == seed, "return_mean"]
             if list(there) != list(rows["return_mean"]):
                 origin = settings["seeds"][seed].get("commit")
-                raise ValueError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
+                raise InputError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
         settings, table = merge(path, settings, table, config, rows)
         text = table.to_csv(index=False, lineterminator="\n")
         table_file.parent.mkdir(exist_ok=True)
@@ -370,7 +370,7 @@ def merge(
 ) -> tuple[dict[str, Any], pd.DataFrame]:
     """The settings and the table with one seed more.
 
-    Raises ValueError where it differs from the other seeds in its flags, its columns, the number of its evaluations or,
+    Raises InputError where it differs from the other seeds in its flags, its columns, the number of its evaluations or,
     for an algorithm of one's own, its script.
     """
     seed = str(config["flags"]["seed"])
@@ -383,12 +383,12 @@ def merge(
     if settings.get("changed", config["changed"]) != config["changed"]:
         different.append("choice of changed flags")
     if different:
-        raise ValueError(f"the seeds that are there were made with another {', '.join(different)}")
-    others = table[table["seed"] != seed] if len(table) else table
+        raise InputError(f"the seeds that are there were made with another {', '.join(different)}")
+    others = table[table["seed"] != seed]
     if len(others) and len(others) != len(rows) * others["seed"].nunique():
-        raise ValueError(f"it has {len(rows)} evaluations, unlike the seeds that are there")
+        raise InputError(f"it has {len(rows)} evaluations, unlike the seeds that are there")
     if len(others) and list(others.columns) != ["seed", *rows.columns]:
-        raise ValueError(f"it has the columns {', '.join(rows.columns)}, unlike the seeds that are there")
+        raise InputError(f"it has the columns {', '.join(rows.columns)}, unlike the seeds that are there")
     older = [origin for number, origin in settings["seeds"].items() if number != seed]
     check_script(path, config["algorithm"], config.get("script"), older)
     last = rows.iloc[-1]
@@ -417,7 +417,7 @@ def paper_cells() -> pd.DataFrame:
 
 
 def read_speeds(file: Path) -> pd.DataFrame:
-    """What `time_stepping.py --output` has written into a CSV. ValueError where the file holds something else."""
+    """What `time_stepping.py --output` has written into a CSV. InputError where the file holds something else."""
     if not file.exists():
         return pd.DataFrame(columns=SPEED_COLUMNS)
     try:
@@ -426,14 +426,13 @@ def read_speeds(file: Path) -> pd.DataFrame:
             raise ValueError(f"its columns are not {', '.join(SPEED_COLUMNS)}")
         pd.to_numeric(table["steps_per_second"])
     except ValueError as error:
-        raise ValueError(f"{file} is not a table of time_stepping.py: {str(error).strip()}") from error
+        raise InputError(f"{file} is not a table of time_stepping.py: {str(error).strip()}") from error
     return table
 
 
 def keep_speeds(file: Path, task: str, speeds: dict[str, float], origin: dict[str, Any]) -> None:
     """Puts the speeds of a task into the CSV, in place of those that it has, with the processor and the commit."""
-    rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": list(speeds.values())})
-    rows["steps_per_second"] = rows["steps_per_second"].round().astype(int)
+    rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": map(round, speeds.values())})
     rows = rows.assign(processor=origin["machine"]["processor"], commit=origin["commit"])[SPEED_COLUMNS]
     there = read_speeds(file)
     others = there[there["task"] != task]

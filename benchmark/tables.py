@@ -14,11 +14,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
-from benchmark.agreement import half_width
+from benchmark.agreement import LEVEL, half_width
 from benchmark.measures import summarise
 from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, SHARED, algorithm_order, family
 
-SIGNIFICANCE = 0.05
 TITLES = {
     "max_return": "Maximum returns",
     "average_return": "Average returns",
@@ -46,7 +45,7 @@ def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2:
         return round(mean, 9) == round(mean2, 9)
     deviation, deviation2 = interval * np.sqrt(seeds) / 2, interval2 * np.sqrt(seeds2) / 2
     test = ttest_ind_from_stats(mean, deviation, seeds, mean2, deviation2, seeds2, equal_var=True)
-    return bool(test.pvalue >= SIGNIFICANCE)
+    return bool(test.pvalue >= LEVEL)
 
 
 def marks(row: pd.DataFrame) -> list[str]:
@@ -165,19 +164,6 @@ def rows(cells: pd.DataFrame, algorithms: list[str], *texts: Callable[[Any], str
     return found
 
 
-def lines(both: pd.DataFrame, metric: str, sharing: str) -> list[list[str]]:
-    """A table's lines: task, whose, a cell in Markdown for each of `columns`. Up to three a task: ours, the
-    paper's, the difference."""
-    chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
-    found = []
-    for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
-        found.append([task, "ours", *ours])
-        for whose, row in (("paper", paper), ("difference", differences)):
-            if set(row) - {"", "-"}:
-                found.append(["", whose, *row])
-    return found
-
-
 def to_markdown(header: list[str], body: list[list[str]]) -> str:
     """A table in Markdown; nothing without a line in it."""
     lines = [header, ["---"] * len(header), *body] if body else []
@@ -191,8 +177,15 @@ def grid(rows: Mapping[Any, str], columns: Mapping[Any, str], cell: Callable[[An
 
 
 def markdown(both: pd.DataFrame, metric: str, sharing: str) -> str:
-    """One of the paper's tables in Markdown; nothing where we have no result for it."""
-    body = lines(both, metric, sharing)
+    """One of the paper's tables in Markdown, with up to three lines for a task: ours, the paper's, the difference.
+    Nothing where we have no result for it."""
+    chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
+    body = []
+    for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
+        body.append([task, "ours", *ours])
+        for whose, row in (("paper", paper), ("difference", differences)):
+            if set(row) - {"", "-"}:
+                body.append(["", whose, *row])
     return to_markdown(["task", "", *map(str.upper, columns(both))], body)
 
 

@@ -153,11 +153,6 @@ def mpe2(name: str) -> Callable[[], int]:
     return play
 
 
-def label(num_envs: int) -> str:
-    """How the CSV and the figure call our environments."""
-    return f"ours, num_envs={num_envs}"
-
-
 @one_sentence(__file__)
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
@@ -170,10 +165,7 @@ def main() -> None:
     if min(args.num_envs) < 1 or not 0 < args.seconds < math.inf:
         parser.error("--num-envs and --seconds must be positive numbers")
     if args.output:
-        try:
-            store.read_speeds(args.output)
-        except ValueError as error:
-            parser.error(f"--output: {error}")
+        store.read_speeds(args.output)
         if not args.output.parent.is_dir():
             parser.error(f"--output: there is no folder {args.output.parent}")
     for name in args.tasks:
@@ -183,17 +175,14 @@ def main() -> None:
     paper = store.paper_speeds()
     print(f"{'task':<24}{'paper':>12}{'original':>12}" + "".join(f"{number:>12} envs" for number in args.num_envs))
     for name in args.tasks:
-        speeds = {}
-        if play := original(name):
-            speeds["original package"] = rate(play, args.seconds)
-        for number in args.num_envs:
-            speeds[label(number)] = rate(ours(name, number), args.seconds)
-        theirs = paper.get(store.paper_task(name))
-        cells = [f"{value:>12,.0f}" if value else f"{'-':>12}" for value in (theirs, speeds.get("original package"))]
-        cells += [f"{speeds[label(number)]:>17,.0f}" for number in args.num_envs]
-        print(f"{name:<24}" + "".join(cells), flush=True)
+        play = original(name)
+        theirs = {"original package": rate(play, args.seconds)} if play else {}
+        own = {f"ours, num_envs={number}": rate(ours(name, number), args.seconds) for number in args.num_envs}
+        others = paper.get(store.paper_task(name)), theirs.get("original package")
+        cells = [f"{value:>12,.0f}" if value else f"{'-':>12}" for value in others]
+        print(f"{name:<24}" + "".join([*cells, *(f"{value:>17,.0f}" for value in own.values())]), flush=True)
         if args.output:
-            store.keep_speeds(args.output, name, speeds, origin)
+            store.keep_speeds(args.output, name, theirs | own, origin)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -28,63 +27,13 @@ from unittest import mock
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import envs
 from benchmark.plan import load_script, script_names
 from envs import runs
 from envs.runs import fast_mkl, one_sentence
 
 TURNS = 3
 WARM_UP = 5  # updates
-
-
-class TimedRun:
-    """Stands for a script's Run: keeps nothing, and its training ends when the time is up."""
-
-    def __init__(self, module: Any, seconds: float, folder: str):
-        self.seconds, self.replay = seconds, Path(folder, "replay.bin")
-        self.n_updates = self.steps = 0  # the script counts the updates
-        self.begun = self.ended = 0.0
-        self.spent = {"update": 0.0, "collect": 0.0, "step": 0.0}  # seconds in each function
-        self.time(module, "update")
-        self.time(module, "collect")
-
-    def begin(self, script: str, args: Any, paper_defaults: Any, env: Any, *_: Any) -> "TimedRun":
-        """What the script calls instead of `runs.Run`."""
-        self.time(env, "step")
-        return self
-
-    def time(self, owner: Any, name: str) -> None:
-        """Counts the time of a function of a module or an object from now on."""
-        function: Callable = getattr(owner, name)
-
-        def timed(*args: Any) -> Any:
-            start = time.perf_counter()
-            result = function(*args)
-            self.spent[name] += time.perf_counter() - start
-            return result
-
-        setattr(owner, name, timed)
-
-    @property
-    def timestep(self) -> float:
-        """Beyond every budget when the time is up."""
-        return math.inf if self.steps and self.ended - self.begun > self.seconds else 0
-
-    def count(self, played: Any, *_: Any) -> None:
-        """A batch was played, and learnt from."""
-        self.ended = time.perf_counter()
-        if self.n_updates > WARM_UP:
-            self.steps += int(played.sum())
-        else:
-            self.begun, self.spent = self.ended, dict.fromkeys(self.spent, 0.0)
-
-    def episode_file(self, fields: Any, size: int) -> runs.EpisodeFile:
-        """The file of a replay."""
-        return runs.EpisodeFile(self.replay, fields, size, 0)
-
-    def evaluate_if_due(self) -> None:
-        """Nothing is evaluated, stopped or saved."""
-
-    stop_if_asked = save_if_due = complete = evaluate_if_due
 
 
 def measure(name: str, flags: list[str], seconds: float) -> tuple[str, list[float]]:
@@ -96,16 +45,49 @@ def measure(name: str, flags: list[str], seconds: float) -> tuple[str, list[floa
     args: Any = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     if hasattr(args, "buffer_size"):  # the whole replay may be larger than the disk that has temporary files
         args.buffer_size = min(args.buffer_size, 20 * args.batch_size)
-    runs.keep_freed_memory()
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(io.StringIO()):  # what a replay takes
-        run = TimedRun(module, seconds, folder)
-        with mock.patch.object(runs, "Run", run.begin):
-            module.train(args)
-    update, collect, step = run.spent.values()
+    args.total_timesteps, args.eval_episodes = sys.maxsize, 1
+    spent: dict[str, float] = {}  # seconds in each function, and since the loop is warm
+    begun, steps = 0.0, 0
+
+    def timed(owner: Any, function_name: str) -> Any:
+        """In place of the owner's function one that counts its time."""
+        function = getattr(owner, function_name)
+
+        def in_its_place(*words: Any) -> Any:
+            start = time.perf_counter()
+            result = function(*words)
+            spent[function_name] = spent.get(function_name, 0.0) + time.perf_counter() - start
+            return result
+
+        return mock.patch.object(owner, function_name, in_its_place)
+
+    def count(run: runs.Run, played: torch.Tensor, *_: Any) -> None:
+        """In place of a run's own: nothing is logged, and the training ends when the time is up."""
+        nonlocal begun, steps
+        now = time.perf_counter()
+        if run.n_updates <= WARM_UP:
+            begun = now
+            spent.clear()
+            return
+        steps, spent["loop"] = steps + int(played.sum()), now - begun
+        if spent["loop"] > seconds:
+            run.timestep = args.total_timesteps
+
+    with contextlib.ExitStack() as stack:
+        args.run_dir = stack.enter_context(tempfile.TemporaryDirectory())
+        stack.enter_context(contextlib.redirect_stderr(io.StringIO()))  # its progress
+        for owner, function_name in ((module, "update"), (module, "collect"), (envs.VectorEnv, "step")):
+            stack.enter_context(timed(owner, function_name))
+        stack.enter_context(mock.patch("envs.runs.run.StopSignals"))
+        stack.enter_context(mock.patch.object(runs.Run, "count", count))
+        for method in ("evaluate_if_due", "stop_if_asked", "save_if_due", "complete"):
+            stack.enter_context(mock.patch.object(runs.Run, method))
+        runs.keep_freed_memory()
+        torch.set_num_threads(1)
+        module.train(args)
     setting = f"{name} {args.network} {args.hidden_dim} {'shared' if args.parameter_sharing else 'independent'}"
-    shares = [part / (update + collect) for part in (update, collect - step, step)]
-    return setting, [run.steps / (run.ended - run.begun), *shares]
+    parts = spent["update"], spent["collect"] - spent["step"], spent["step"]
+    return setting, [steps / spent["loop"], *(part / (spent["update"] + spent["collect"]) for part in parts)]
 
 
 def process(switch: str) -> ProcessPoolExecutor:

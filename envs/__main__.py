@@ -8,7 +8,6 @@ python -m envs check <name>      whether an environment keeps the contract; exit
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -19,7 +18,7 @@ from tqdm import tqdm
 import envs
 from envs import tasks
 from envs.check import hints, problems
-from envs.runs import check_flags, open_streams, with_flags
+from envs.runs import check_flags, one_sentence, with_flags
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -32,16 +31,6 @@ def row(name: str, options: Mapping[str, Any]) -> tuple[str, ...]:
     return (name, *(f"{size:,}" for size in (*sizes, task.on_policy_timesteps, task.off_policy_timesteps)))
 
 
-def show(parser: argparse.ArgumentParser, text: str) -> None:
-    """Print what was asked for."""
-    try:
-        print(text, flush=True)
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it exits
-        if not isinstance(error, BrokenPipeError):  # that is a reader such as `head`, which has seen enough
-            parser.exit(2, f"This cannot be written: {error}.\n")
-
-
 def add_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of environments that are not ours."""
     parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
@@ -49,8 +38,8 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
 
 
-def check_task(argv: list[str]) -> None:
-    """Check a task, and say what is wrong."""
+def check_task(argv: list[str]) -> int:
+    """Check a task, and say what is wrong. Returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m envs check",
         description="Plays some episodes, and says what in an environment is not as envs/vector.py has it: shapes, "
@@ -67,21 +56,17 @@ def check_task(argv: list[str]) -> None:
     def make(num_envs: int, seed: int, copy: bool) -> envs.VectorEnv:
         return envs.make(name, num_envs, seed, copy, **args)
 
-    try:
-        check_flags(flags)
-        found = problems(make, progress)
-        lines = found or [f"{name} keeps the contract.", *(f"Hint: {hint}" for hint in hints(make))]
-    except envs.InputError as error:
-        parser.exit(2, f"{with_flags(str(error))}\n")
-    show(parser, "\n".join(map(with_flags, lines)))
-    sys.exit(1 if found else 0)
+    check_flags(flags)
+    found = problems(make, progress)
+    lines = found or [f"{name} keeps the contract.", *(f"Hint: {hint}" for hint in hints(make))]
+    print("\n".join(map(with_flags, lines)))
+    return 1 if found else 0
 
 
-def main(argv: list[str]) -> None:
-    """Print the table. A wrong name ends with one sentence and exit code 2."""
-    open_streams()  # the argparse of Python 3.11.2, for one, would fail without
+def main(argv: list[str]) -> int:
+    """Print the table. Returns the exit code. Raises InputError for a wrong name."""
     if argv[:1] == ["check"]:
-        check_task(argv[1:])
+        return check_task(argv[1:])
     grammar = (tasks.__doc__ or "").split("\n\n")[1]
     parser = argparse.ArgumentParser(
         prog="python -m envs",
@@ -94,18 +79,16 @@ def main(argv: list[str]) -> None:
     flags = parser.parse_args(argv)
     options = vars(flags)
     names = options.pop("names")
-    try:
-        check_flags(flags)
-        table = [HEADER, *(row(name, options) for name in names or envs.task_names())]
-    except envs.InputError as error:
-        parser.exit(2, f"{with_flags(str(error))}\n")
+    check_flags(flags)
+    table = [HEADER, *(row(name, options) for name in names or envs.task_names())]
     widths = [max(len(line[column]) for line in table) for column in range(len(HEADER))]
-    lines = []
     for line in table:
         cells = (cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True))
-        lines.append("  ".join((line[0].ljust(widths[0]), *cells)))
-    show(parser, "\n".join(lines))
+        print("  ".join((line[0].ljust(widths[0]), *cells)))
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    with one_sentence("envs"):
+        code = main(sys.argv[1:])
+    sys.exit(code)

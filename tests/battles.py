@@ -66,8 +66,8 @@ def walk(mask: NDArray[np.bool_], across: NDArray[np.float64], up: NDArray[np.fl
     return actions
 
 
-def attack_nearest(env: Env, rng: np.random.Generator, hold: bool = False) -> NDArray[np.int64]:
-    """Attack the nearest enemy among those that may be attacked; else walk to the nearest, or hold.
+def attack_nearest(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Attack the nearest enemy among those that may be attacked; else walk to the nearest.
 
     Healers heal the ally with the smallest part of its hp left; else they follow the nearest ally.
     """
@@ -99,14 +99,9 @@ def attack_nearest(env: Env, rng: np.random.Generator, hold: bool = False) -> ND
             to_follow = np.where(enemies, squared, np.inf)
             stay = ~enemies.any(axis=1)
         there = to_follow.argmin(axis=1)
-        steps = np.where(stay | hold, STOP, walk(mask, across[every, there], up[every, there]))
+        steps = np.where(stay, STOP, walk(mask, across[every, there], up[every, there]))
         actions[:, i] = np.where(good, ATTACK + value.argmin(axis=1), steps)
     return np.where(alive[:, :n_allies], actions, 0)
-
-
-def hold_attack(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
-    """As `attack_nearest`, but nobody walks."""
-    return attack_nearest(env, rng, hold=True)
 
 
 def attack_eps20(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -148,7 +143,6 @@ POLICIES: dict[str, Policy] = {
     "attack_nearest": attack_nearest,
     "attack_eps20": attack_eps20,
     "random": random,
-    "hold_attack": hold_attack,
     "pkite25": kite,
     "stop": always(STOP),
     "north": always(NORTH),

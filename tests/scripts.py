@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 from envs import runs  # isort: skip (before PyTorch, as in the scripts)
+import numpy as np
 import torch
 
 import envs
@@ -99,6 +100,11 @@ def parse(name: str, flags: list[str]):
     return runs.parse_flags(module.Args, module.paper_defaults, [str(flag) for flag in flags], module.__doc__)
 
 
+def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """How many pixels of a picture have that colour."""
+    return int((np.abs(frame.astype(int) - colour).max(axis=2) < 3).sum())
+
+
 __all__ = [
     "INDIVIDUAL",
     "NAMES",
@@ -110,6 +116,7 @@ __all__ = [
     "envs",
     "load_module",
     "main",
+    "near",
     "parse",
     "script",
     "trained",

@@ -1,13 +1,11 @@
-"""Every algorithm on every family of tasks, for a few updates."""
+"""Every algorithm for a few updates where agents are unequal, or play against each other.
+
+test_algos_first_updates.py has every family of tasks.
+"""
 
 import pytest
 import torch
 from scripts import INDIVIDUAL, NAMES, trained
-
-TASKS = [  # of each family, and what is special in it: unequal agents, opposing teams
-    *["matrix-climbing", "lbf-5x5-2p-1f", "rware-tiny-2p", "mpe-speaker-listener", "mpe-spread"],
-    *["mpe-adversary-selfplay", "mpe2-tag-selfplay", "smaclite-2s_vs_1sc-sc2"],
-]
 
 
 def few_updates(monkeypatch, name, task, sharing, **flags):
@@ -25,15 +23,13 @@ def few_updates(monkeypatch, name, task, sharing, **flags):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
-def test_a_few_updates(monkeypatch, name):
-    for task in [task for task in TASKS if not task.endswith("-selfplay")]:
-        few_updates(monkeypatch, name, task, True)
-    for task in ("matrix-climbing", "mpe-speaker-listener"):
-        few_updates(monkeypatch, name, task, False)
+def test_a_few_updates_of_unequal_agents(monkeypatch, name):
+    for sharing in (True, False):
+        few_updates(monkeypatch, name, "mpe-speaker-listener", sharing)
 
 
 @pytest.mark.parametrize("name", INDIVIDUAL)
 def test_a_few_updates_of_opposing_teams(monkeypatch, name):
-    for task in [task for task in TASKS if task.endswith("-selfplay")]:
+    for task in ("mpe-adversary-selfplay", "mpe2-tag-selfplay"):
         run = few_updates(monkeypatch, name, task, False, individual_rewards=True)
         assert len(set(run.env.teams)) == 2

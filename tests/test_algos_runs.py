@@ -11,7 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -178,14 +177,6 @@ def test_tensorboard_has_what_practitioners_look_for(finished):
 
 
 # --- other seeds, and the same run after interruptions ---
-@pytest.mark.slow
-def test_another_seed_another_file(finished, monkeypatch, capsys, tmp_path):
-    name, directory = finished
-    few = [*short(name), "--total-timesteps", "1", "--eval-points", "2"]
-    assert main(monkeypatch, capsys, name, *few, "--seed", 1, "--run-dir", tmp_path / "other")[0] == 0
-    assert evaluations(tmp_path / "other")[0] != evaluations(directory)[0]
-
-
 def rows_written(directory):
     """How many evaluations a run has on disk; 0 where there is no table yet."""
     path = directory / "evaluations.csv"
@@ -774,31 +765,6 @@ def test_watching_greedily(mappo_run, monkeypatch, capsys, tmp_path):
 def test_greedy_is_for_watching(monkeypatch, capsys, tmp_path):
     code, said = main(monkeypatch, capsys, "mappo", "--greedy", "--run-dir", tmp_path / "run")
     assert code == 2 and said.startswith("mappo: --greedy is for --watch")
-
-
-def test_default_directory_names_what_is_not_default(monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    flags = ["--env", "matrix-penalty-25", "--total-timesteps", "500", "--eval-points", "2", "--eval-episodes", "2"]
-    changed = ["--no-parameter-sharing", "--n-step", "3", "--individual-rewards"]
-    assert main(monkeypatch, capsys, "mappo", *flags, *changed, "--seed", 7)[0] == 0
-    expected = "runs/matrix-penalty-25/mappo-independent-individual-rewards=True-n-step=3/seed7"
-    assert (tmp_path / expected / "evaluations.csv").exists()
-
-
-@pytest.mark.slow
-def test_load_from_anywhere(mappo_run, tmp_path):
-    program = f"""
-        import sys
-        sys.path.append({str(ROOT / "algos")!r})
-        import envs, mappo
-        team = mappo.load({str(mappo_run[1])!r})
-        env = envs.make("lbf-5x5-2p-1f", 4)
-        observations, info = env.reset()
-        print(team.act(observations, info).shape)
-    """
-    program = textwrap.dedent(program)
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path)
-    assert done.stdout.strip() == "(4, 2)", done.stderr
 
 
 @with_and_without_replay

@@ -123,25 +123,15 @@ def as_flag(name, value):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_hyperparameters_are_the_papers(name):
-    module, rows, seen = script(name), paper_rows(name), set()
-    flags = module.PAPER_FLAGS.split()
-    for row in rows:
-        column = flags.index(FLAGS[row["name"]])
-        sharing = {"yes": "shared", "no": "independent"}[row["parameter_sharing"]]
-        assert module.PAPER[row["family"], sharing][column] == as_flag(row["name"], row["value"]), row
-        seen.add((row["family"], sharing, column))
-    assert len(seen) == len(rows) == 10 * len(flags)
-
-
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("family", TASK_OF_FAMILY)
 @pytest.mark.parametrize("sharing", [True, False])
 def test_defaults_are_the_papers(name, family, sharing):
     args = vars(parse(name, ["--env", TASK_OF_FAMILY[family], f"--{'' if sharing else 'no-'}parameter-sharing"]))
-    for row in paper_rows(name):
-        if row["family"] == family and (row["parameter_sharing"] == "yes") == sharing:
-            assert args[FLAGS[row["name"]]] == as_flag(row["name"], row["value"])
+    rows = [row for row in paper_rows(name) if row["family"] == family]
+    rows = [row for row in rows if row["parameter_sharing"] == {True: "yes", False: "no"}[sharing]]
+    assert {FLAGS[row["name"]] for row in rows} == {*script(name).PAPER_FLAGS.split()}
+    for row in rows:
+        assert args[FLAGS[row["name"]]] == as_flag(row["name"], row["value"])
     budget = BUDGET[family]
     assert args["total_timesteps"] == (budget if name in ON_POLICY else budget // 10)
     assert args["time_limit"] == ("bootstrap" if name in ON_POLICY else "terminal")

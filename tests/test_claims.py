@@ -205,7 +205,7 @@ def test_sharing_where_rewards_are_sparse(gains, verdict):
         best = 10 if gain else 0
         for sharing, value in (("shared", best), ("independent", best - gain)):
             parts.append(table({task: dict.fromkeys(store.ALGORITHMS[1:], value)}, sharing=sharing))
-    assert claims.sharing_rware(claims.View.of(pd.concat(parts))).verdict == verdict
+    assert verdict_on("In RWARE, sharing helps more", pd.concat(parts)) == verdict
 
 
 def test_several_significant_cases_of_sharing():
@@ -250,7 +250,6 @@ def best_in_rware(*cells):
 def test_a_narrow_difference_of_single_seeds_is_too_close_to_call():
     narrow, wide, complete = best_in_rware(20.2, 20.1, 1), best_in_rware(90, 20, 1), best_in_rware(20.2, 20.1, 5)
     assert (narrow.verdict, wide.verdict, complete.verdict) == (claims.CLOSE, claims.HOLDS, claims.HOLDS)
-    assert narrow.stays < 0.95 <= wide.stays
     assert narrow.rests_on.startswith("holds as it is, and in") and "rware-tiny-2p" in narrow.rests_on
     assert "one seed more of each: 0.5 CPU hours" in wide.rests_on and not complete.rests_on
 

@@ -72,9 +72,9 @@ def in_one_sentence(monkeypatch, capsys, *words):
 def test_wrong_input_ends_in_one_sentence(monkeypatch, capsys, tmp_path):
     output = ["--output", str(tmp_path / "out")]
     said = in_one_sentence(monkeypatch, capsys, "mine", "mappo", *output)
-    assert "compare.py: error: there are no results of mine; there are some of coma, ia2c, " in said
+    assert "compare: there are no results of mine; there are some of coma, ia2c, " in said
     said = in_one_sentence(monkeypatch, capsys, "mappo", "iql", *output)  # on- and off-policy: other budgets
-    assert said.endswith("error: mappo and iql have no task, sharing, changed flags and budget in common.\n")
+    assert said.endswith("compare: mappo and iql have no task, sharing, changed flags and budget in common.\n")
     said = in_one_sentence(monkeypatch, capsys, "mine", "mappo", "--results", str(tmp_path), *output)
     assert "there are no results in" in said and not (tmp_path / "out").exists()
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from fractions import Fraction
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -245,37 +244,6 @@ def test_food_levels(n_agents: int, cooperative: str, version: str) -> None:
             assert_frequencies(pairs, uniform(product(range(1, highest + 1), repeat=2)))
 
 
-@pytest.mark.parametrize("version", ["", "-v3"])
-@pytest.mark.slow
-def test_places_of_agent_and_foods_together(version: str) -> None:
-    """One agent, two foods on 5x5: each start has its exact probability, also those in which only one food fits."""
-    rows, columns = 5, 5
-    expected: dict[Any, Fraction] = {}
-
-    def add(start: Any, probability: Fraction) -> None:
-        expected[start] = expected.get(start, Fraction(0)) + probability
-
-    margin = 0 if version else 1
-    agent_cells = list(product(range(rows - margin), range(columns - margin)))
-    inside = list(product(range(1, rows - 1), range(1, columns - 1)))
-    for agent in agent_cells:
-        free = [cell for cell in inside if cell != agent]
-        for first in free:
-            probability = Fraction(1, len(agent_cells) * len(free))
-            left = [cell for cell in free if abs(cell[0] - first[0]) + abs(cell[1] - first[1]) > 2]
-            for second in left:
-                add((agent, tuple(sorted((first, second)))), probability / len(left))
-            if not left:
-                add((agent, (first,)), probability)
-    assert any(len(foods) == 1 for _, foods in expected)
-
-    game = starts(f"lbf-5x5-1p-2f{version}", 200_000)
-    counts: Counter[Any] = Counter()
-    for agent, foods in zip(game.agent[:, 0, :2].tolist(), game.food.tolist(), strict=True):
-        counts[tuple(agent), tuple((row, column) for row, column, level in foods if level)] += 1
-    assert_frequencies(counts, {start: float(p) for start, p in expected.items()})
-
-
 @pytest.mark.parametrize("name", ["lbf-8x8-4p-4f", "lbf-6x6-2p-4f-c-v3", "lbf-15x15-4p-5f", "lbf-5x12-3p-3f-v3"])
 def test_foods_keep_their_distances_and_their_order(name: str) -> None:
     env = make(name, 2_000)
@@ -294,7 +262,8 @@ def test_foods_keep_their_distances_and_their_order(name: str) -> None:
         assert not field[agents[:, 0], agents[:, 1]].any()
 
 
-def features(rows: int, columns: int, agents: Any, levels: Any, field: NDArray[Any]) -> dict[str, int]:
+def features(env: lbf.Env, agents: Any, levels: Any, field: NDArray[Any]) -> dict[str, int]:
+    rows, columns = env.config.rows, env.config.columns
     cells = np.argwhere(field)
     near = min(abs(r - row) + abs(c - column) for row, column in agents for r, c in cells)
     apart = min((int(np.abs(a - b).sum()) for a, b in pairwise(cells)), default=0)
@@ -309,6 +278,13 @@ def features(rows: int, columns: int, agents: Any, levels: Any, field: NDArray[A
         "apart": apart,
         "food rows": int(cells[:, 0].sum()),
     }
+
+
+def our_features(env: lbf.Env) -> list[dict[str, int]]:
+    """Of the starts of all sub-environments."""
+    env.reset()
+    agents = env.game.agent
+    return [features(env, agents[e, :, :2].tolist(), agents[e, :, 2], board(env, e)) for e in range(env.num_envs)]
 
 
 def assert_same_distribution(ours: list[dict[str, int]], theirs: list[dict[str, int]]) -> None:
@@ -327,12 +303,6 @@ def assert_same_distribution(ours: list[dict[str, int]], theirs: list[dict[str, 
 @pytest.mark.slow
 def test_starts_like_the_package(name: str) -> None:
     env, theirs, number = make(name, 4_000, seed=3), original(name), 2_000
-    env.reset()
-    rows, columns = env.config.rows, env.config.columns
-    ours = [
-        features(rows, columns, env.game.agent[e, :, :2].tolist(), env.game.agent[e, :, 2], board(env, e))
-        for e in range(env.num_envs)
-    ]
     samples = []
     theirs.reset(seed=5)
     for _ in range(number):
@@ -340,22 +310,17 @@ def test_starts_like_the_package(name: str) -> None:
             player.position = None  # otherwise the package keeps the last episode's places free
         theirs.reset()
         agents, levels = [p.position for p in theirs.players], [p.level for p in theirs.players]
-        samples.append(features(rows, columns, agents, levels, theirs.field))
-    assert_same_distribution(ours, samples)
+        samples.append(features(env, agents, levels, theirs.field))
+    assert_same_distribution(our_features(env), samples)
 
 
 @pytest.mark.parametrize("path", RECORDED, ids=lambda path: path.stem)
 def test_starts_like_the_recorded_ones(path: Path) -> None:
     recorded = np.load(path)
     env = make(path.stem, 4_000, seed=3)
-    env.reset()
-    rows, columns = env.config.rows, env.config.columns
-    ours = [
-        features(rows, columns, env.game.agent[e, :, :2].tolist(), env.game.agent[e, :, 2], board(env, e))
-        for e in range(env.num_envs)
-    ]
+    ours = our_features(env)
     theirs = [
-        features(rows, columns, recorded["position"][e].tolist(), recorded["level"][e], recorded["field"][e])
+        features(env, recorded["position"][e].tolist(), recorded["level"][e], recorded["field"][e])
         for e in range(len(recorded["length"]))
     ]
     for feature in ("last", "foods"):

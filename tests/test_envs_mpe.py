@@ -16,7 +16,6 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ import pytest
 import torch
 from mpe2 import simple_adversary_v3, simple_speaker_listener_v4, simple_spread_v3, simple_tag_v3
 from numpy.typing import NDArray
-from scripts import ROOT, load_module, trained
+from scripts import ROOT, load_module, near, trained
 from torch import nn
 
 import envs
@@ -173,48 +172,6 @@ opponents = load_module(ROOT / "tools" / "train_opponents.py")
 
 def mean_return(name: str, act: Callable[[mpe.State, np.random.Generator], Any]) -> float:
     return opponents.mean_return(make(name, 3_000), act)
-
-
-def speaker_and_listener(targets: Callable[[mpe.State], NDArray[np.float64]]) -> Callable[..., Any]:
-    """The listener goes to targets, [env, (x, y)]; the speaker says nothing of worth."""
-
-    def act(game: mpe.State, rng: np.random.Generator) -> Any:
-        listener = opponents.towards_and_stay(game, 1, targets(game)[:, None])
-        return np.concatenate([np.zeros_like(listener), listener], axis=1)
-
-    return act
-
-
-def cover_all_landmarks(game: mpe.State, rng: np.random.Generator) -> Any:
-    apart = np.linalg.norm(game.agent_position[:, :, None] - game.landmark_position[:, None], axis=3)
-    ways = np.array(list(permutations(range(3))))
-    lengths = apart[:, np.arange(3), ways].sum(axis=2)  # [env, way]
-    places = np.take_along_axis(game.landmark_position, ways[lengths.argmin(axis=1)][:, :, None], 1)
-    return opponents.towards_and_stay(game, 0, places)
-
-
-def talk_and_walk_at_random(game: mpe.State, rng: np.random.Generator) -> Any:
-    return rng.integers(0, [3, 5], (len(game.goal), 2))
-
-
-@pytest.mark.parametrize(
-    ("name", "act", "known", "tolerance"),
-    [
-        ("mpe-spread", opponents.act_at_random, -233, 4),
-        ("mpe-spread", cover_all_landmarks, -119, 4),
-        ("mpe-speaker-listener", talk_and_walk_at_random, -83, 4),
-        ("mpe-speaker-listener", speaker_and_listener(lambda game: game.landmark_position.mean(axis=1)), -29, 1.5),
-        (
-            "mpe-speaker-listener",
-            speaker_and_listener(lambda game: game.landmark_position[np.arange(len(game.goal)), game.goal]),
-            -12,
-            1,
-        ),
-    ],
-    ids=["spread-random", "spread-covered", "listener-random", "listener-between", "listener-at-the-goal"],
-)
-def test_returns_of_scripted_teams(name: str, act: Callable[..., Any], known: float, tolerance: float) -> None:
-    assert abs(mean_return(name, act) - known) < tolerance
 
 
 @needs_training
@@ -637,11 +594,6 @@ def test_a_candidate_out_of_bounds_is_not_installed(
 # ---------------------------------------------------------------------------------------------------------------------
 # Pictures, and the rules without the compiler
 # ---------------------------------------------------------------------------------------------------------------------
-
-
-def near(frame: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
-    """How many pixels have that colour."""
-    return int((np.abs(frame.astype(int) - colour).max(axis=2) < 3).sum())
 
 
 @pytest.mark.parametrize("name", [*ALL[:4], "mpe2-tag-selfplay"])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scripts import near
 
 import envs
 from envs import render
@@ -15,12 +16,6 @@ from envs.families import lbf
 from envs.pictures import lbf as pictures
 from envs.pictures import rware as warehouse
 from envs.render import save_film
-
-
-def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
-    """How many pixels have that colour."""
-    return int((np.abs(frame.astype(int) - colour).max(axis=2) < 3).sum())
-
 
 DRAWN = (
     "matrix-penalty-25",

@@ -35,6 +35,7 @@ AGAINST_PACKAGE = {  # steps; the package needs milliseconds for a step of many 
     "rware-tiny-20p-hard": 3_000,
     "rware-large-20p-easy": 3_000,
 }
+FAST = "rware-tiny-3p-5s-easy"  # in the fast set, too
 BLOCKS = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}  # rows and columns of blocks
 UP, DOWN, LEFT, RIGHT = 0, 1, 2, 3
 NOTHING, FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE = 0, 1, 2, 3, 4
@@ -251,8 +252,9 @@ def step_both(env: rware.Env, theirs: Warehouse, actions: Any) -> bool:
     return theirs_done
 
 
-@pytest.mark.parametrize("name", AGAINST_PACKAGE)
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name != FAST else ()) for name in AGAINST_PACKAGE]
+)
 def test_every_step_equals_the_package(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make(name)
     theirs = original(env)
@@ -409,56 +411,6 @@ def test_collisions_are_what_other_agents_prevent() -> None:
     assert env.statistics["collisions"][0] == 0
 
 
-def test_turning() -> None:
-    env = by_hand([(0, 0, UP), (0, 2, UP)])
-    seen = []
-    for _ in range(4):
-        env.step([[TURN_LEFT, TURN_RIGHT]])
-        seen.append(env.game.agent[0, :, 2].tolist())
-    assert seen == [[LEFT, RIGHT], [DOWN, DOWN], [RIGHT, LEFT], [UP, UP]]
-    assert env.game.agent[0, :, :2].tolist() == [[0, 0], [0, 2]]
-
-
-def test_loading_and_unloading() -> None:
-    env = by_hand([(1, 2, RIGHT), (0, 0, UP)])
-    agent = env.game.agent[0]
-    env.step([[TOGGLE, TOGGLE]])
-    assert agent[:, 3].tolist() == [1, -1]  # nothing to load in the corner
-    env.step([[TOGGLE, NOTHING]])
-    assert agent[0, 3] == -1  # put down where it was
-    env.step([[TOGGLE, NOTHING]])
-    env.step([[FORWARD, NOTHING]])
-    assert agent[0].tolist() == [1, 3, RIGHT, 1] and env.game.shelf[0, 1].tolist() == [1, 3, 0]
-    env.step([[TOGGLE, NOTHING]])
-    assert agent[0, 3] == 1  # not on a highway
-    for action in (TURN_LEFT, TURN_LEFT, FORWARD, TOGGLE):
-        env.step([[action, NOTHING]])
-    assert agent[0].tolist() == [1, 2, LEFT, -1] and env.game.shelf[0, 1].tolist() == [1, 2, 0]
-    env.step([[FORWARD, NOTHING]])
-    assert agent[0].tolist() == [1, 1, LEFT, -1]  # under the next shelf
-
-
-def test_a_delivery() -> None:
-    env = by_hand([(9, 4, DOWN), (10, 5, DOWN)], [7, -1], requested=[7, 3])
-    _, rewards, _, _, info = env.step([[FORWARD, TOGGLE]])
-    assert rewards.tolist() == [1] and info["agent_rewards"].tolist() == [[1, 0]]
-    requested = set(np.flatnonzero(env.game.shelf[0, :, 2]))
-    assert len(requested) == 2 and 3 in requested and 7 not in requested
-    for action in (NOTHING, TOGGLE, TURN_LEFT):
-        observations, rewards, _, _, info = env.step([[action, NOTHING]])
-        assert not rewards.any() and not info["agent_rewards"].any()
-    assert env.game.agent[0, 0, 3] == 7 and info["statistics"]["deliveries"].tolist() == [1]
-    assert observations[0, 0, 8 + 7 * 4 + 5 :][:2].tolist() == [1, 0]  # a shelf, no longer requested
-    assert env.reset()[1]["statistics"]["deliveries"].tolist() == [0]
-
-
-def test_what_is_no_delivery() -> None:
-    env = by_hand([(9, 4, DOWN), (9, 3, DOWN)], [7, 8], requested=[8, 3])  # not requested; beside the goal
-    _, rewards, _, _, info = env.step([[FORWARD, FORWARD]])
-    assert rewards.tolist() == [0] and not info["statistics"]["deliveries"].any()
-    assert set(np.flatnonzero(env.game.shelf[0, :, 2])) == {3, 8}
-
-
 def test_a_shelf_requested_while_it_is_on_the_second_goal_is_delivered() -> None:
     """All shelves but number 9 are requested, so number 9 must be the next; the package does the same."""
     env = by_hand([(9, 4, DOWN), (10, 5, DOWN)], [7, 9], requested=set(range(32)) - {9})
@@ -467,20 +419,6 @@ def test_a_shelf_requested_while_it_is_on_the_second_goal_is_delivered() -> None
     step_both(env, theirs, [FORWARD, NOTHING])
     assert env.rewards[0] == 2 and env.agent_rewards.tolist() == [[1, 1]]
     assert set(np.flatnonzero(env.game.shelf[0, :, 2])) == set(range(32)) - {9}
-
-
-def test_what_an_agent_observes() -> None:
-    env = by_hand([(1, 3, LEFT), (1, 2, DOWN), (0, 9, RIGHT)], [-1, 1, -1], requested=[1, 4, 8])
-    observation = env.observations[0]
-    assert observation[0, :8].tolist() == [3, 1, 0, 0, 0, 1, 0, 1]
-    assert observation[1, :8].tolist() == [2, 1, 1, 0, 1, 0, 0, 0]
-    empty, shelf, requested = [0, 1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 1, 0], [0, 1, 0, 0, 0, 1, 1]
-    first = [empty, empty, empty, [1, 0, 1, 0, 0, 1, 1], [1, 0, 0, 1, 0, 0, 0], empty, shelf, empty, empty]
-    assert observation[0, 8:].reshape(9, 7).tolist() == first
-    second = [empty, empty, empty, shelf, [1, 0, 1, 0, 0, 1, 1], [1, 0, 0, 1, 0, 0, 0], requested, shelf, empty]
-    assert observation[1, 8:].reshape(9, 7).tolist() == second
-    corner = [empty, empty, empty, empty, [1, 0, 0, 0, 1, 0, 0], empty, shelf, empty, empty]
-    assert observation[2, 8:].reshape(9, 7).tolist() == corner
 
 
 def test_an_episode_ends_at_step_500_and_stands_still() -> None:

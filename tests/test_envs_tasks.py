@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -277,30 +276,7 @@ def test_the_command_line() -> None:
     unknown = run("lbf-15x15-3p-5f", "lbf-15x15-3p-5")
     assert unknown.returncode == 2 and unknown.stdout == ""
     assert unknown.stderr.count("\n") == 1 and "did you mean lbf-15x15-3p-5f" in unknown.stderr
-
-
-@pytest.mark.skipif(os.name == "nt", reason="closes file descriptors as a shell of Unix does")
-@pytest.mark.parametrize(
-    ("shell", "code", "said"),
-    [
-        ("{} matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
-        ("{} check matrix-climbing | true; exit ${{PIPESTATUS[0]}}", 0, ""),
-        (
-            "{} check matrix-climbing --env-workers -1",
-            2,
-            "--env-workers -1: the value must lie between 0 and 10,000.\n",
-        ),
-        ("{} nothing 2>&-", 2, ""),
-        pytest.param(
-            "{} matrix-climbing > /dev/full",
-            2,
-            "This cannot be written: [Errno 28] No space left on device.\n",
-            marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux"),
-        ),
-    ],
-)
-@pytest.mark.slow
-def test_the_command_line_without_a_reader(shell: str, code: int, said: str) -> None:
-    command = shell.format(f"PYTHONUNBUFFERED= '{sys.executable}' -m envs")
-    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", said)
+    wrong = run("check", "matrix-climbing", "--env-workers", "-1")
+    assert (
+        wrong.returncode == 2 and wrong.stderr == "envs: --env-workers -1: the value must lie between 0 and 10,000.\n"
+    )

@@ -312,7 +312,7 @@ class Sides(Queue):
 
 
 class Reseeds(Painted):
-    """Seeds a generator that the whole program shares, in one of three moments."""
+    """Seeds generators that the whole program shares, in some of three moments: made, reset and step."""
 
     def __init__(self, what: str, when: str) -> None:
         super().__init__("table")
@@ -320,9 +320,9 @@ class Reseeds(Painted):
         self.now("made")
 
     def now(self, when: str) -> None:
-        if when == self.when:
-            seeds = {"random": random.seed, "numpy": np.random.seed, "torch": sys.modules["torch"].manual_seed}
-            seeds[self.what](0)
+        seeds = {"random": random.seed, "numpy": np.random.seed, "torch": sys.modules["torch"].manual_seed}
+        for what in self.what.split() if when in self.when.split() else ():
+            seeds[what](0)
 
     def reset(self, seed: int | None = None, options: Any = None) -> Any:
         self.now("reset")
