@@ -278,8 +278,8 @@ class Report:
     def short(self) -> str:
         """What stands in the repository's README.md."""
         parts = [
-            "Average returns over training with parameter sharing and the paper's budgets on one task of each family, "
-            "the paper's in brackets (a small number: so many seeds instead of five):",
+            "Average returns over training, with parameter sharing and the paper's budgets, on one task of each family:"
+            " ours, and the paper's in brackets. A small number is the number of our seeds, where it is not five.",
             tables.short(self.both),
             f"{self.agreement()} [All tables](benchmark/RESULTS.md) have intervals, maximum returns, learning curves, "
             "CPU hours and the paper's claims one by one.",

@@ -27,13 +27,13 @@ TITLES = {
 }
 LEGEND = """\
 In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours, or several that are printed
-alike. An asterisk: not significantly different from one of these. A small number: so many seeds instead of five; a
-single one has no interval. °: the maximum lies at step 0, before any training, and is the luck of random networks. †:
-another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its average is
-above its maximum. Difference: ours minus the paper's, in units of half the 95 % prediction interval of this difference,
-so that beyond 1 the two do not agree. For a single seed this interval has the spread of the paper's five seeds; with
-several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of five seeds:
-the best of 41 points picks its noise. So look at averages first."""
+alike. An asterisk: not significantly different from one of these. A small number: how many seeds, where there are not
+five; a single one has no interval. °: the maximum lies at step 0, before any training, and is the luck of random
+networks. †: another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its
+average is above its maximum. Difference: ours minus the paper's, in units of half the 95 % prediction interval of this
+difference, so that beyond 1 the two do not agree. For a single seed this interval has the spread of the paper's five
+seeds; with several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of
+five seeds: the best of 41 points picks its noise. So look at averages first."""
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
