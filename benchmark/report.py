@@ -322,8 +322,8 @@ CLAIMS_WORDS = """\
 A selection of what the paper's sections 5 and 6 say, by maximum returns with sharing unless a sentence says otherwise;
 in brackets how a sentence is read here. The head of `benchmark/claims.py` says what the words mean, and
 `benchmark/paper/claims.csv` what must hold. By these meanings some of the sentences do not hold in the paper's own
-tables. Too close to call: the cells with fewer than five seeds were completed to five 400 times, with the spread of the
-paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
+tables. Too close to call: the cells with fewer than five seeds were completed to five 1,000 times, with the spread of
+the paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
 cells a verdict rests, and what one seed more of each would cost."""
 
 
