@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import ttest_ind_from_stats
+from scipy.stats import fisher_exact, ttest_ind_from_stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmark import agreement, claims
 from benchmark.measures import interval
 from benchmark.report import Report
-from benchmark.store import FAMILIES, INDEPENDENT, RESULTS, SHARED, paper_cells
+from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-run-again.md"
@@ -261,16 +261,21 @@ def probes(files: Iterable[str] = ()) -> None:
 
 def words() -> None:
     """Speaker-Listener: where the seeds end, and which five seeds the paper's IPPO and IA2C could be."""
+    stayed: Counter[str] = Counter()  # seeds that were below -18 after the first half
     for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
         for seed, curve in ours("mpe-speaker-listener", algorithm).items():
             steps = report().shown
             steps = steps[(steps["task"] == "mpe-speaker-listener") & (steps["algorithm"] == algorithm)]
             below = curve.index[curve < -18]
             last = steps[(steps["seed"] == seed) & (steps["point"] == below[-1])]["timestep"].iloc[0]
+            stayed[algorithm] += last > 10e6
             print(
                 f"{algorithm}, seed {seed}: below -18 for the last time at {last / 1e6:.1f} million steps; "
                 f"the last ten points {curve[-10:].mean():.1f}"
             )
+    number = len(ours("mpe-speaker-listener", "maa2c").columns)
+    p = fisher_exact([[stayed["maa2c"], number - stayed["maa2c"]], [0, PAPER_SEEDS]]).pvalue
+    print(f"maa2c: {stayed['maa2c']} of {number} stayed for ten million steps; if none of the paper's five did, p = {p:.2f}")
     for algorithm in ("ippo", "ia2c"):
         mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
