@@ -275,7 +275,10 @@ def words() -> None:
             )
     number = len(ours("mpe-speaker-listener", "maa2c").columns)
     p = fisher_exact([[stayed["maa2c"], number - stayed["maa2c"]], [0, PAPER_SEEDS]]).pvalue
-    print(f"maa2c: {stayed['maa2c']} of {number} stayed for ten million steps; if none of the paper's five did, p = {p:.2f}")
+    print(
+        f"maa2c: {stayed['maa2c']} of {number} stayed for ten million steps; "
+        f"if none of the paper's five did, p = {p:.2f}"
+    )
     for algorithm in ("ippo", "ia2c"):
         mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
