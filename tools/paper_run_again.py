@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmark import agreement, claims
 from benchmark.measures import interval
 from benchmark.report import Report
-from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells
+from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-run-again.md"
@@ -319,6 +319,14 @@ def standardised() -> None:
         end="",
     )
     print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", SHARED]))
+    plain = report().evaluations
+    plain = plain[(plain["task"] == "smaclite-3s_vs_5z-sc2") & (plain["algorithm"] == "qmix")]
+    changed = {"reward_standardisation": False, "total_timesteps": 400_000}
+    last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
+    print(
+        f"qmix, seed 0, not standardised, after 400,000 steps: return {last['return_mean']:.1f} in "
+        f"{last['episode_length']:.0f} steps, {last['dead_allies']:.1f} of its 3 units dead"
+    )
 
 
 def parted() -> None:
