@@ -260,25 +260,23 @@ def probes(files: Iterable[str] = ()) -> None:
 
 
 def words() -> None:
-    """Speaker-Listener: where the seeds end, and which five seeds the paper's IPPO and IA2C could be."""
-    stayed: Counter[str] = Counter()  # seeds that were below -18 after the first half
+    """Speaker-Listener: where the seeds end, how probable so many slow ones of MAA2C are beside none of the paper's
+    (Fisher's exact test), and which five seeds the paper's IPPO and IA2C could be."""
+    stayed = 0  # seeds of MAA2C that were below -18 in the second half
     for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
         for seed, curve in ours("mpe-speaker-listener", algorithm).items():
             steps = report().shown
             steps = steps[(steps["task"] == "mpe-speaker-listener") & (steps["algorithm"] == algorithm)]
             below = curve.index[curve < -18]
             last = steps[(steps["seed"] == seed) & (steps["point"] == below[-1])]["timestep"].iloc[0]
-            stayed[algorithm] += last > 10e6
+            stayed += algorithm == "maa2c" and last > 10e6
             print(
                 f"{algorithm}, seed {seed}: below -18 for the last time at {last / 1e6:.1f} million steps; "
                 f"the last ten points {curve[-10:].mean():.1f}"
             )
     number = len(ours("mpe-speaker-listener", "maa2c").columns)
-    p = fisher_exact([[stayed["maa2c"], number - stayed["maa2c"]], [0, PAPER_SEEDS]]).pvalue
-    print(
-        f"maa2c: {stayed['maa2c']} of {number} stayed for ten million steps; "
-        f"if none of the paper's five did, p = {p:.2f}"
-    )
+    p = fisher_exact([[stayed, number - stayed], [0, PAPER_SEEDS]]).pvalue
+    print(f"maa2c: {stayed} of {number} stayed for ten million steps; if none of the paper's five did, p = {p:.2f}")
     for algorithm in ("ippo", "ia2c"):
         mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
@@ -287,7 +285,7 @@ def words() -> None:
 
 def standardised() -> None:
     """What a long victory and a short defeat are worth on smaclite-3s_vs_5z-sc2, with rewards as they are and
-    standardised by the mean and the standard deviation of the defeats' steps."""
+    standardised by the mean and the standard deviation of the defeats' steps; and where QMIX ends with both."""
     import battles
 
     import envs
@@ -325,7 +323,8 @@ def standardised() -> None:
     last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
     print(
         f"qmix, seed 0, not standardised, after 400,000 steps: return {last['return_mean']:.1f} in "
-        f"{last['episode_length']:.0f} steps, {last['dead_allies']:.1f} of its 3 units dead"
+        f"{last['episode_length']:.0f} steps, {last['dead_allies']:.1f} of its 3 units dead, "
+        f"{100 * last['battle_won']:.0f} % of the battles won"
     )
 
 
