@@ -2,6 +2,7 @@
 
     python tools/paper_run_again.py opponents
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
+    python tools/paper_run_again.py flight [<run directory of IPPO on smaclite-2s_vs_1sc-sc2>]
     python tools/paper_run_again.py page
 
 The last one writes the figures of all parts into docs/paper-run-again.md, as after new results; read the page's
@@ -19,7 +20,7 @@ import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from scipy.stats import fisher_exact, ttest_ind_from_stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "algos"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark import agreement, claims
@@ -244,7 +246,7 @@ def opponents() -> None:
         print(f"{task}, {algorithm}: {'; '.join(found)}")
 
 
-def probes(files: Iterable[str] = ()) -> None:
+def probes(*files: str) -> None:
     """What scripted teams earn against the opponents of this repository, or against the networks in these files."""
     import train_opponents
 
@@ -328,6 +330,58 @@ def standardised() -> None:
     )
 
 
+def flight(directory: str = "") -> None:
+    """IPPO on smaclite-2s_vs_1sc-sc2: when our teams stayed away from the enemy until the battle's last step, which a
+    return of 0 tells, beside the paper's values. Or, for the directory of such a run, what its critics say of that."""
+    if directory:
+        print(value_of_flight(directory))
+        return
+    shown = report().shown
+    shown = shown[(shown["task"] == "smaclite-2s_vs_1sc-sc2") & (shown["algorithm"] == "ippo")]
+    for seed, points in shown.groupby("seed"):
+        away = points[points["return_mean"] < 0.1]["timestep"] / 1e6
+        when = f", the first at {away.min():.0f}, the last at {away.max():.0f} million steps" if len(away) else ""
+        print(
+            f"ippo, seed {seed}: return below 0.1 at {len(away)} of {len(points)} points{when}; "
+            f"average {points['return_mean'].mean():.2f}, of the last ten {points['return_mean'][-10:].mean():.2f}"
+        )
+    for sharing, words in SHARING.items():
+        (maximum, error), (average, its_error) = (
+            paper(name)["smac-2s_vs_1sc", "ippo", sharing] for name in ("max_return", "average_return")
+        )
+        print(f"the paper, {words}: maximum {maximum:.2f} ± {error:.2f}, average {average:.2f} ± {its_error:.2f}")
+
+
+def value_of_flight(directory: str) -> str:
+    """Means over 20 battles of the run's team, over the steps of agents that live and cannot attack."""
+    import ippo
+    import torch
+
+    from envs import runs
+
+    saved = runs.read_checkpoint(directory, "ippo")
+    args = ippo.Args(**saved["config"]["flags"])
+    env = runs.make_for(args, 20, 0)
+    batch, returns = ippo.collect(args, env, ippo.load(directory), ippo.new_storage(args, env))
+    earned = torch.zeros(len(batch.played) + 1, *batch.rewards.shape[1:])  # from each step to the battle's end
+    for t in reversed(range(len(batch.played))):
+        earned[t] = torch.where(batch.played[t, :, None], batch.rewards[t] + args.gamma * earned[t + 1], 0.0)
+    no_op, attack = batch.action_masks[:-1, ..., 0], batch.action_masks[:-1, ..., 6]
+    alive = batch.played[..., None] & ~no_op
+    away = alive & ~attack
+    worth = {}
+    for name in ("critic", "target_critic"):
+        critic = ippo.MultiAgentNetwork(args, env.n_agents, env.obs_size, 1)
+        critic.load_state_dict(saved["parts"][name])
+        with torch.no_grad():
+            worth[name] = critic(batch.observations[:-1])[0].squeeze(-1)[away].mean()
+    return (
+        f"return {returns.mean():.2f}, no enemy in range in {100 * away.sum() / alive.sum():.0f} % of the steps; there "
+        f"the critic says {worth['critic']:.2f} and its target {worth['target_critic']:.2f}, and the team still earns "
+        f"{earned[:-1].expand(away.shape)[away].mean():.2f}, discounted"
+    )
+
+
 def parted() -> None:
     """The claims that the paper's tables support and our results do not, with the figures of both."""
     for claim, theirs, here in report().verdicts():
@@ -339,7 +393,7 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding),
-        *(standardised, opponents, probes, words, parted),
+        *(standardised, opponents, probes, words, flight, parted),
     )
 }
 
@@ -350,7 +404,7 @@ def write_page() -> None:
     def block(shown: re.Match[str]) -> str:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
-            PARTS[shown[2]](*[[]] * (shown[2] == "probes"))
+            PARTS[shown[2]]()
         return f"{shown[1]}{printed.getvalue()}```"
 
     text = PAGE.read_text(encoding="utf-8")
@@ -362,6 +416,6 @@ if __name__ == "__main__":
     if sys.argv[1:] == ["page"]:
         write_page()
         sys.exit()
-    if len(sys.argv) < 2 or sys.argv[1] not in PARTS or (len(sys.argv) > 2 and sys.argv[1] != "probes"):
+    if len(sys.argv) < 2 or sys.argv[1] not in PARTS or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "flight")):
         sys.exit(__doc__)
-    PARTS[sys.argv[1]](*[sys.argv[2:]] * (sys.argv[1] == "probes"))
+    PARTS[sys.argv[1]](*sys.argv[2:])
