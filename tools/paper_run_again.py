@@ -53,11 +53,15 @@ def report() -> Report:
     return Report(RESULTS)
 
 
+def table(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
+    """The evaluations of one table."""
+    chosen = evaluations[(evaluations["task"] == task) & (evaluations["algorithm"] == algorithm)]
+    return chosen[chosen["sharing"] == sharing]
+
+
 def curves(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
     """The returns of one table: [point, seed]."""
-    chosen = evaluations[(evaluations["task"] == task) & (evaluations["algorithm"] == algorithm)]
-    chosen = chosen[chosen["sharing"] == sharing]
-    return chosen.pivot(index="point", columns="seed", values="return_mean")
+    return table(evaluations, task, algorithm, sharing).pivot(index="point", columns="seed", values="return_mean")
 
 
 def ours(task: str, algorithm: str, sharing: str = SHARED) -> pd.DataFrame:
@@ -266,9 +270,8 @@ def words() -> None:
     (Fisher's exact test), and which five seeds the paper's IPPO and IA2C could be."""
     stayed = 0  # seeds of MAA2C that were below -18 in the second half
     for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
+        steps = table(report().shown, "mpe-speaker-listener", algorithm)
         for seed, curve in ours("mpe-speaker-listener", algorithm).items():
-            steps = report().shown
-            steps = steps[(steps["task"] == "mpe-speaker-listener") & (steps["algorithm"] == algorithm)]
             below = curve.index[curve < -18]
             last = steps[(steps["seed"] == seed) & (steps["point"] == below[-1])]["timestep"].iloc[0]
             stayed += algorithm == "maa2c" and last > 10e6
@@ -310,8 +313,8 @@ def standardised() -> None:
             f"{name}: return {np.nansum(x, axis=0).mean():.1f} in {(~np.isnan(x)).sum(axis=0).mean():.0f} steps, "
             f"discounted {worth[0]:.1f}, standardised and discounted {worth[1]:.1f}"
         )
-    shown = report().shown
-    curve = shown[(shown["task"] == "smaclite-3s_vs_5z-sc2") & (shown["algorithm"] == "qmix") & (shown["seed"] == 0)]
+    curve = table(report().shown, "smaclite-3s_vs_5z-sc2", "qmix")
+    curve = curve[curve["seed"] == 0]
     last = curve.sort_values("point").iloc[-1]
     print(
         f"qmix, seed 0: return {last['return_mean']:.1f} in {last['episode_length']:.0f} steps at the end, "
@@ -319,8 +322,7 @@ def standardised() -> None:
         end="",
     )
     print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", SHARED]))
-    plain = report().evaluations
-    plain = plain[(plain["task"] == "smaclite-3s_vs_5z-sc2") & (plain["algorithm"] == "qmix")]
+    plain = table(report().evaluations, "smaclite-3s_vs_5z-sc2", "qmix")
     changed = {"reward_standardisation": False, "total_timesteps": 400_000}
     last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
     print(
@@ -336,9 +338,7 @@ def flight(directory: str = "") -> None:
     if directory:
         print(value_of_flight(directory))
         return
-    shown = report().shown
-    shown = shown[(shown["task"] == "smaclite-2s_vs_1sc-sc2") & (shown["algorithm"] == "ippo")]
-    for seed, points in shown.groupby("seed"):
+    for seed, points in table(report().shown, "smaclite-2s_vs_1sc-sc2", "ippo").groupby("seed"):
         away = points[points["return_mean"] < 0.1]["timestep"] / 1e6
         when = f", the first at {away.min():.0f}, the last at {away.max():.0f} million steps" if len(away) else ""
         print(
