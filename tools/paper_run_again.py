@@ -33,13 +33,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "algos"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmark import agreement, claims
+from benchmark import agreement, claims, store
 from benchmark.measures import interval
 from benchmark.report import Report
 from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper-run-again.md"
+ABLATIONS = ROOT / "benchmark" / "ablations"
 ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
 OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
 MATRIX = ["matrix-climbing", *(f"matrix-penalty-{k}" for k in (0, 25, 50, 75, 100))]
@@ -239,6 +240,14 @@ def padding() -> None:
         print(f"{task}: {beside_the_paper(report().shown, task, 'maddpg')}; {papers(task, 'maddpg')}; {said}")
 
 
+def ends() -> None:
+    """MADDPG that does not learn from the steps that end an episode, beside the script as it is and the paper."""
+    without = store.load(ABLATIONS)
+    for task in without["task"].unique():
+        print(f"{task}, without the ends: {beside_the_paper(without, task, 'maddpg_ends')}")
+        print(f"{task}, with them: {beside_the_paper(report().shown, task, 'maddpg')}; {papers(task, 'maddpg')}")
+
+
 def opponents() -> None:
     """The tasks against trained opponents: our runs against the paper's and against ours, beside the paper's values."""
     there = [(words, evaluations) for words, evaluations in (("its", report().shown), ("our", report().against_own))]
@@ -392,7 +401,7 @@ def parted() -> None:
 PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
-        *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding),
+        *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding, ends),
         *(standardised, opponents, probes, words, flight, parted),
     )
 }
