@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "algos"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmark import agreement, claims, store
-from benchmark.measures import interval
+from benchmark import agreement, claims, store, tables
+from benchmark.measures import interval, our_cells
 from benchmark.report import Report
 from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
@@ -226,26 +226,30 @@ def papers(task: str, algorithm: str) -> str:
     return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
 
 
+def maddpg(evaluations: pd.DataFrame, counted: pd.DataFrame, task: str) -> str:
+    """These evaluations of MADDPG on a task, beside the paper's, and which of the two cells agree."""
+    cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg")]
+    agree = [
+        name.split()[0]
+        for metric, name in agreement.METRICS.items()
+        if metric in {*cells.loc[cells["agrees"], "metric"]}
+    ]
+    said = f"agrees: {' and '.join(agree) or 'neither'}" if len(cells) else "no target"
+    return f"{task}: {beside_the_paper(evaluations, task, 'maddpg')}; {papers(task, 'maddpg')}; {said}"
+
+
 def padding() -> None:
     """MADDPG in foraging, beside the paper's."""
-    counted = report().counted
     for task in claims.SETS["lbf"]:
-        cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg")]
-        agree = [
-            name.split()[0]
-            for metric, name in agreement.METRICS.items()
-            if metric in {*cells.loc[cells["agrees"], "metric"]}
-        ]
-        said = f"agrees: {' and '.join(agree) or 'neither'}" if len(cells) else "no target"
-        print(f"{task}: {beside_the_paper(report().shown, task, 'maddpg')}; {papers(task, 'maddpg')}; {said}")
+        print(maddpg(report().shown, report().counted, task))
 
 
 def ends() -> None:
-    """MADDPG that does not learn from the steps that end an episode, beside the script as it is and the paper."""
-    without = store.load(ABLATIONS)
+    """MADDPG that does not learn from the steps that end an episode, beside the paper's."""
+    without = store.load(ABLATIONS).replace({"algorithm": {"maddpg_ends": "maddpg"}})
+    counted = agreement.counted(tables.compare(our_cells(without), paper_cells()))
     for task in without["task"].unique():
-        print(f"{task}, without the ends: {beside_the_paper(without, task, 'maddpg_ends')}")
-        print(f"{task}, with them: {beside_the_paper(report().shown, task, 'maddpg')}; {papers(task, 'maddpg')}")
+        print(maddpg(without, counted, task))
 
 
 def opponents() -> None:
