@@ -245,11 +245,15 @@ def padding() -> None:
 
 
 def ends() -> None:
-    """MADDPG that does not learn from the steps that end an episode, beside the paper's."""
-    without = store.load(ABLATIONS).replace({"algorithm": {"maddpg_ends": "maddpg"}})
-    counted = agreement.counted(tables.compare(our_cells(without), paper_cells()))
-    for task in without["task"].unique():
-        print(maddpg(without, counted, task))
+    """MADDPG as it is and as variants of its script, beside the paper's."""
+    ablations = store.load(ABLATIONS)
+    for task in ablations["task"].unique():
+        print("as it is,", maddpg(report().shown, report().counted, task))
+        for script, words in (("maddpg_ends", "without the ends"), ("maddpg_epymarl", "as in EPyMARL")):
+            variant = table(ablations, task, script).assign(algorithm="maddpg", setting="{}")
+            if len(variant):
+                counted = agreement.counted(tables.compare(our_cells(variant), paper_cells()))
+                print(f"{words},", maddpg(variant, counted, task))
 
 
 def opponents() -> None:
