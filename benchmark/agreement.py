@@ -31,9 +31,9 @@ METRICS = {"average_return": "average returns", "max_return": "maximum returns"}
 EVALUATION_EPISODES = 100
 DRAWS = 20_000
 
-# Why cells are known to differ, other than by the length of the matrix games' runs. The page "The paper, run again" has
-# a section on each.
-KNOWN_CAUSES = {
+# Cells where a known difference in code or game matters, other than the length of the matrix games' runs. The page "The
+# paper, run again" has a section on each.
+SET_APART = {
     "MADDPG in LBF": lambda cell: cell.algorithm == "maddpg" and family(cell.task) == "lbf",
     "the stand-ins of SMAC": lambda cell: cell.task != cell.paper_task,
 }
@@ -71,20 +71,18 @@ def is_trivial(cells: pd.DataFrame) -> pd.Series:
     return (cells["interval"].round(2) == 0) & (cells["paper_interval"].round(2) == 0)
 
 
-def known_cause(cells: pd.DataFrame) -> pd.Series:
-    """For each cell why it is known to differ; empty where nothing is known."""
-    found = [
-        next((cause for cause, applies in KNOWN_CAUSES.items() if applies(cell)), "") for cell in cells.itertuples()
-    ]
+def set_apart(cells: pd.DataFrame) -> pd.Series:
+    """For each cell what it is set apart as, by a key of `SET_APART`; empty for the others."""
+    found = [next((name for name, applies in SET_APART.items() if applies(cell)), "") for cell in cells.itertuples()]
     return pd.Series(found, index=cells.index, dtype=object)
 
 
 def counted(compared: pd.DataFrame) -> pd.DataFrame:
-    """The compared cells (`tables.compare`) that tell something, with columns family, agrees and cause."""
+    """The compared cells (`tables.compare`) that tell something, with columns family, agrees and apart."""
     cells = compared[compared["metric"].isin(METRICS) & compared["difference"].notna()]
     cells = cells[~is_trivial(cells)]
     families = cells["task"].map(family)
-    return cells.assign(family=families, agrees=cells["difference"].abs() <= 1, cause=known_cause(cells))
+    return cells.assign(family=families, agrees=cells["difference"].abs() <= 1, apart=set_apart(cells))
 
 
 def placebo(cells: pd.DataFrame) -> pd.DataFrame:

@@ -102,16 +102,17 @@ class Report:
         if self.counted.empty:
             return "None of our values is of one of the paper's tasks with its budget and flags."
         games = self.counted["family"] == "matrix"
-        unexplained = self.counted[~games & (self.counted["cause"] == "")]
+        others = self.counted[~games & (self.counted["apart"] == "")]
         of = [
-            f"{agreement.numbers(unexplained.loc[unexplained['metric'] == metric, 'agrees'])} {name}"
+            f"{agreement.numbers(others.loc[others['metric'] == metric, 'agrees'])} {name}"
             for metric, name in agreement.METRICS.items()
         ]
-        single = (unexplained["seeds"] == 1).mean()
+        single = (others["seeds"] == 1).mean()
         return (
-            f"Outside the matrix games, and without {' and '.join(agreement.KNOWN_CAUSES)}, whose difference has a "
-            f"known cause, {' and '.join(of)} agree with the paper's: they lie within the 95 % prediction interval of "
-            f"the difference, outside which chance puts one in twenty. {100 * single:.0f} % of them are of one seed."
+            f"Outside the matrix games, and without {' and '.join(agreement.SET_APART)}, where a known difference in "
+            f"code or game matters, {' and '.join(of)} agree with the paper's: they lie within the 95 % prediction "
+            "interval of the difference, outside which chance puts one in twenty. "
+            f"{100 * single:.0f} % of them are of one seed."
         )
 
     def agreement_table(self) -> str:
@@ -136,12 +137,12 @@ class Report:
         return "\n\n".join([*parts, *map(fill, words)])
 
     def differences(self) -> str:
-        """The cells that are outside the 95 % prediction interval, with the cause, where it is known."""
+        """The cells that are outside the 95 % prediction interval, and what they are set apart as."""
         cells = self.compared[self.compared["difference"].abs() > 1]
         cells = cells[cells["metric"].isin(["average_return", "max_return", "max_win_rate"])]
         cells = cells.reindex(cells["difference"].abs().sort_values(ascending=False, kind="stable").index)
-        cells = cells.assign(cause=agreement.known_cause(cells))
-        header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference", "known cause"]
+        cells = cells.assign(apart=agreement.set_apart(cells))
+        header = ["table", "task", "algorithm", "sharing", "seeds", "ours", "paper", "difference", "set apart as"]
         body = [
             [
                 tables.TITLES[cell.metric],
@@ -152,7 +153,7 @@ class Report:
                 tables.number(cell.value, cell.interval),
                 tables.number(cell.paper_mean, cell.paper_interval),
                 f"{cell.difference:+.1f}",
-                cell.cause,
+                cell.apart,
             ]
             for cell in cells.rename(columns={"mean": "value"}).itertuples()
         ]

@@ -45,7 +45,7 @@ def cells(*rows):
 
 
 def test_what_is_counted():
-    """Not where nothing varies, and not win rates; known causes are named."""
+    """Not where nothing varies, and not win rates; those that are set apart are named."""
     rows = [
         ("matrix-penalty-0", "ia2c", "max_return", 250.0, 0.0, 5, 250.0, 0.0),
         ("matrix-penalty-0", "ia2c", "average_return", 248.0, 0.1, 5, 248.1, 0.2),
@@ -55,7 +55,7 @@ def test_what_is_counted():
         ("mpe-spread", "maddpg", "average_return", -150.0, np.nan, 1, -150.0, 2.0),
     ]
     counted = agreement.counted(cells(*rows))
-    assert list(counted["cause"]) == ["", "MADDPG in LBF", "the stand-ins of SMAC", ""]
+    assert list(counted["apart"]) == ["", "MADDPG in LBF", "the stand-ins of SMAC", ""]
     assert list(counted["agrees"]) == [True, False, True, True]
     assert set(counted["metric"]) == {"average_return"}
 
@@ -145,8 +145,8 @@ def test_a_shorter_run_against_the_papers_opponent_is_of_another_budget(tmp_path
 def test_the_report_says_what_agrees():
     made = report.Report(store.RESULTS)
     said, table = made.agreement(), made.agreement_table()
-    unexplained = made.counted[(made.counted["family"] != "matrix") & (made.counted["cause"] == "")]
-    averages = unexplained[unexplained["metric"] == "average_return"]
+    others = made.counted[(made.counted["family"] != "matrix") & (made.counted["apart"] == "")]
+    averages = others[others["metric"] == "average_return"]
     assert f"{averages['agrees'].sum()} of {len(averages)} average returns" in said
     lines = [line.split(" | ") for line in table.splitlines() if line.startswith("| ")]
     [lbf] = [line for line in lines if line[0] == "| LBF, with parameter sharing"]
