@@ -399,6 +399,34 @@ def value_of_flight(directory: str) -> str:
     )
 
 
+def certain() -> None:
+    """COMA in the battles: what it earns beside the paper's and beside a scripted team that attacks the nearest enemy;
+    and how it does on smaclite-3s5z-sc2 without standardised rewards."""
+    import battles
+
+    import envs
+
+    for name in ("2s_vs_1sc", "3s_vs_5z", "3s5z"):
+        task = f"smaclite-{name}-sc2"
+        curve = table(report().shown, task, "coma").sort_values("point")
+        env: Any = envs.make(task, 100, seed=0)
+        played = battles.play(env, battles.attack_nearest)
+        share, error = paper("max_win_rate")[f"smac-{name}", "coma", SHARED]
+        print(
+            f"{task}, coma: {beside_the_paper(report().shown, task, 'coma')}, at the end "
+            f"{curve['return_mean'].iloc[-1]:.2f}, at best {100 * curve['battle_won'].max():.0f} % of the battles won; "
+            f"{papers(f'smac-{name}', 'coma')}, won {100 * share:.0f} ± {100 * error:.0f} %; "
+            f"a team that attacks the nearest {played['return'].mean():.2f}"
+        )
+    plain = table(report().evaluations, "smaclite-3s5z-sc2", "coma")
+    changed = {"eval_points": 6, "reward_standardisation": False, "total_timesteps": 5_000_000}
+    last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
+    print(
+        f"smaclite-3s5z-sc2, coma, not standardised, after 5 million steps: return {last['return_mean']:.2f}, "
+        f"{100 * last['battle_won']:.0f} % of the battles won"
+    )
+
+
 def parted() -> None:
     """The claims that the paper's tables support and our results do not, with the figures of both."""
     for claim, theirs, here in report().verdicts():
@@ -410,7 +438,7 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding, ends),
-        *(standardised, opponents, probes, words, flight, parted),
+        *(standardised, opponents, probes, words, flight, certain, parted),
     )
 }
 
