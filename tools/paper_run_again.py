@@ -211,17 +211,17 @@ def exchanged() -> None:
     print(f"maxima on Tag that are no multiple of 10 / 500: {', '.join(odd)}")
 
 
-def beside_the_paper(evaluations: pd.DataFrame, task: str, algorithm: str) -> str:
-    """Our maximum and average with sharing, and the seeds' own averages, in the paper's form."""
-    curve = curves(evaluations, task, algorithm)
+def beside_the_paper(evaluations: pd.DataFrame, task: str, algorithm: str, sharing: str = SHARED) -> str:
+    """Our maximum and the seeds' own averages, in the paper's form."""
+    curve = curves(evaluations, task, algorithm, sharing)
     own = ", ".join(f"{x:.2f}" for x in curve.mean())
     return f"maximum {curve.mean(axis='columns').max():.2f}, average {own}"
 
 
-def papers(task: str, algorithm: str) -> str:
-    """The paper's maximum and average with sharing."""
+def papers(task: str, algorithm: str, sharing: str = SHARED) -> str:
+    """The paper's maximum and average."""
     (maximum, error), (average, its_error) = (
-        paper(name)[task, algorithm, SHARED] for name in ("max_return", "average_return")
+        paper(name)[task, algorithm, sharing] for name in ("max_return", "average_return")
     )
     return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
 
@@ -265,6 +265,14 @@ def opponents() -> None:
             if len(curves(evaluations, task, algorithm)):
                 found.append(f"against {whose} opponent {beside_the_paper(evaluations, task, algorithm)}")
         print(f"{task}, {algorithm}: {'; '.join(found)}")
+
+
+def unshared() -> None:
+    """Our runs in Tag without sharing, against the paper's prey, beside the paper's values."""
+    for algorithm in ON_POLICY + OFF_POLICY:
+        if len(ours("mpe-tag", algorithm, INDEPENDENT)):
+            here = beside_the_paper(report().shown, "mpe-tag", algorithm, INDEPENDENT)
+            print(f"{algorithm}: {papers('mpe-tag', algorithm, INDEPENDENT)}; ours: {here}")
 
 
 def probes(*files: str) -> None:
@@ -438,7 +446,7 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding, ends),
-        *(standardised, opponents, probes, words, flight, certain, parted),
+        *(standardised, opponents, unshared, probes, words, flight, certain, parted),
     )
 }
 
