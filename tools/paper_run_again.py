@@ -111,7 +111,8 @@ def causes() -> None:
         elif cell.family == "matrix":
             number["matrix games, MADDPG's maxima" if cell.algorithm == "maddpg" else "matrix games, others"] += 1
         else:
-            number[cell.apart or f"{cell.algorithm.upper()} on {cell.task}"] += 1
+            sharing = "" if cell.sharing == SHARED else ", without sharing"
+            number[cell.apart or f"{cell.algorithm.upper()} on {cell.task}{sharing}"] += 1
     print(f"{(~counted['agrees']).sum()} of {len(counted)} averages and maxima do not agree:")
     for cause, cells in number.most_common():
         print(f"{cells}  {cause}")
