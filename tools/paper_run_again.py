@@ -227,16 +227,17 @@ def papers(task: str, algorithm: str, sharing: str = SHARED) -> str:
     return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
 
 
-def maddpg(evaluations: pd.DataFrame, counted: pd.DataFrame, task: str) -> str:
+def maddpg(evaluations: pd.DataFrame, counted: pd.DataFrame, task: str, sharing: str = SHARED) -> str:
     """These evaluations of MADDPG on a task, beside the paper's, and which of the two cells agree."""
-    cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg")]
+    cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg") & (counted["sharing"] == sharing)]
     agree = [
         name.split()[0]
         for metric, name in agreement.METRICS.items()
         if metric in {*cells.loc[cells["agrees"], "metric"]}
     ]
     said = f"agrees: {' and '.join(agree) or 'neither'}" if len(cells) else "no target"
-    return f"{task}: {beside_the_paper(evaluations, task, 'maddpg')}; {papers(task, 'maddpg')}; {said}"
+    here, theirs = beside_the_paper(evaluations, task, "maddpg", sharing), papers(task, "maddpg", sharing)
+    return f"{task}{'' if sharing == SHARED else ', without sharing'}: {here}; {theirs}; {said}"
 
 
 def padding() -> None:
@@ -248,13 +249,13 @@ def padding() -> None:
 def ends() -> None:
     """MADDPG as it is and as variants of its script, beside the paper's."""
     ablations = store.load(ABLATIONS)
-    for task in ablations["task"].unique():
-        print("as it is,", maddpg(report().shown, report().counted, task))
+    for task, sharing in ablations[["task", "sharing"]].drop_duplicates().itertuples(index=False, name=None):
+        print("as it is,", maddpg(report().shown, report().counted, task, sharing))
         for script, words in (("maddpg_ends", "without the ends"), ("maddpg_epymarl", "as in EPyMARL")):
-            variant = table(ablations, task, script).assign(algorithm="maddpg", setting="{}")
+            variant = table(ablations, task, script, sharing).assign(algorithm="maddpg", setting="{}")
             if len(variant):
                 counted = agreement.counted(tables.compare(our_cells(variant), paper_cells()))
-                print(f"{words},", maddpg(variant, counted, task))
+                print(f"{words},", maddpg(variant, counted, task, sharing))
 
 
 def opponents() -> None:
