@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "algos"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark import agreement, claims, store, tables
-from benchmark.measures import interval, our_cells
+from benchmark.measures import interval, our_cells, paper_setting
 from benchmark.report import Report
 from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
@@ -250,9 +250,10 @@ def ends() -> None:
     """MADDPG as it is and as variants of its script, beside the paper's."""
     ablations = store.load(ABLATIONS)
     for task, sharing in ablations[["task", "sharing"]].drop_duplicates().itertuples(index=False, name=None):
+        setting = setting_name(paper_setting(task))  # so that a variant counts as MADDPG
         print("as it is,", maddpg(report().shown, report().counted, task, sharing))
         for script, words in (("maddpg_ends", "without the ends"), ("maddpg_epymarl", "as in EPyMARL")):
-            variant = table(ablations, task, script, sharing).assign(algorithm="maddpg", setting="{}")
+            variant = table(ablations, task, script, sharing).assign(algorithm="maddpg", setting=setting)
             if len(variant):
                 counted = agreement.counted(tables.compare(our_cells(variant), paper_cells()))
                 print(f"{words},", maddpg(variant, counted, task, sharing))
