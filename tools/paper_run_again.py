@@ -2,6 +2,7 @@
 
     python tools/paper_run_again.py opponents
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
+    python tools/paper_run_again.py words [<run directory of mpe-speaker-listener> ...]
     python tools/paper_run_again.py flight [<run directory of IPPO on smaclite-2s_vs_1sc-sc2>]
     python tools/paper_run_again.py page
 
@@ -14,6 +15,7 @@ A test holds the page's figures against what this prints.
 
 import contextlib
 import functools
+import importlib
 import io
 import itertools
 import json
@@ -293,9 +295,16 @@ def probes(*files: str) -> None:
             print(f"{task}, {name}: {train_opponents.mean_return(env, probe.act):.2f}")
 
 
-def words() -> None:
-    """Speaker-Listener: where the seeds end, how probable so many slow ones of MAA2C are beside none of the paper's
-    (Fisher's exact test), and which five seeds the paper's IPPO and IA2C could be."""
+def words(*directories: str) -> None:
+    """Speaker-Listener: what a scripted listener earns, where the seeds end, how probable so many slow ones of MAA2C
+    are beside none of the paper's (Fisher's exact test), and which five seeds the paper's IPPO and IA2C could be. Or,
+    for the directories of such runs, what their speakers say."""
+    if directories:
+        for directory in directories:
+            print(spoken(directory))
+        return
+    for number in (1, 2, 3):
+        print(f"a scripted listener, {number} of 3 words: {told(number):.1f}")
     stayed = 0  # seeds of MAA2C that were below -18 in the second half
     for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
         steps = table(report().shown, "mpe-speaker-listener", algorithm)
@@ -314,6 +323,49 @@ def words() -> None:
         mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
         print(f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}")
+
+
+def told(words: int) -> float:
+    """What a listener earns that goes to the middle of the landmarks which the speaker calls by the same word: with two
+    words the second and the third, with one word all three."""
+    import train_opponents
+
+    import envs
+
+    def act(game: Any, rng: np.random.Generator) -> Any:
+        landmarks = game.landmark_position
+        alone = landmarks[np.arange(len(game.goal)), game.goal]
+        middle = landmarks[:, words - 1 :].mean(axis=1)
+        place = np.where((game.goal < words - 1)[:, None], alone, middle)
+        moves = train_opponents.towards_and_stay(game, 1, place[:, None])
+        return np.insert(moves, 0, 0, axis=1)  # what the speaker says does not matter
+
+    env: Any = envs.make("mpe-speaker-listener", train_opponents.EPISODES)
+    return train_opponents.mean_return(env, act)
+
+
+def spoken(directory: str) -> str:
+    """What the run's team earns for each goal, and the shares of the words its speaker says then, in 600 episodes."""
+    import envs
+
+    name = json.loads((Path(directory) / "config.json").read_text(encoding="utf-8"))["algorithm"]
+    team = importlib.import_module(name).load(directory)
+    env = envs.make("mpe-speaker-listener", 600)
+    observations, info = env.reset(seed=1)
+    goals = observations[:, 0, :3].argmax(
+        axis=1
+    )  # the speaker sees the goal's colour: each is brightest in one channel
+    returns, said = np.zeros(600), np.zeros((600, 3))
+    for _ in range(25):
+        actions = team.act(observations, info)
+        said[np.arange(600), actions[:, 0]] += 1
+        observations, rewards, _, _, info = env.step(actions)
+        returns += rewards
+    parts = [f"{name}: return {returns.mean():.1f}"]
+    for goal in range(3):
+        shares = ", ".join(f"{100 * share:.0f} %" for share in said[goals == goal].mean(axis=0) / 25)
+        parts.append(f"goal {goal + 1}: {returns[goals == goal].mean():.1f}, words {shares}")
+    return "; ".join(parts)
 
 
 def standardised() -> None:
@@ -472,6 +524,10 @@ if __name__ == "__main__":
     if sys.argv[1:] == ["page"]:
         write_page()
         sys.exit()
-    if len(sys.argv) < 2 or sys.argv[1] not in PARTS or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "flight")):
+    if (
+        len(sys.argv) < 2
+        or sys.argv[1] not in PARTS
+        or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "words", "flight"))
+    ):
         sys.exit(__doc__)
     PARTS[sys.argv[1]](*sys.argv[2:])
