@@ -15,7 +15,6 @@ A test holds the page's figures against what this prints.
 
 import contextlib
 import functools
-import importlib
 import io
 import itertools
 import json
@@ -37,6 +36,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark import agreement, claims, store, tables
 from benchmark.measures import interval, our_cells, paper_setting
+from benchmark.plan import script
 from benchmark.report import Report
 from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
@@ -254,8 +254,8 @@ def ends() -> None:
     for task, sharing in ablations[["task", "sharing"]].drop_duplicates().itertuples(index=False, name=None):
         setting = setting_name(paper_setting(task))  # so that a variant counts as MADDPG
         print("as it is,", maddpg(report().shown, report().counted, task, sharing))
-        for script, words in (("maddpg_ends", "without the ends"), ("maddpg_epymarl", "as in EPyMARL")):
-            variant = table(ablations, task, script, sharing).assign(algorithm="maddpg", setting=setting)
+        for copy, words in (("maddpg_ends", "without the ends"), ("maddpg_epymarl", "as in EPyMARL")):
+            variant = table(ablations, task, copy, sharing).assign(algorithm="maddpg", setting=setting)
             if len(variant):
                 counted = agreement.counted(tables.compare(our_cells(variant), paper_cells()))
                 print(f"{words},", maddpg(variant, counted, task, sharing))
@@ -349,7 +349,7 @@ def spoken(directory: str) -> str:
     import envs
 
     name = json.loads((Path(directory) / "config.json").read_text(encoding="utf-8"))["algorithm"]
-    team = importlib.import_module(name).load(directory)
+    team = script(name).load(directory)
     env = envs.make("mpe-speaker-listener", 600)
     observations, info = env.reset(seed=1)
     goals = observations[:, 0, :3].argmax(axis=1)  # the speaker sees a colour, each brightest in one channel
