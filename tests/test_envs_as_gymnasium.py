@@ -77,7 +77,7 @@ def test_wrong_options(options: dict[str, Any], message: str) -> None:
 
 
 def test_copies_without_a_seed_play_different_episodes() -> None:
-    starts = [observation.tobytes() for _ in range(5) for observation in make("lbf-8x8-2p-2f", 20).reset()[0]]
+    starts = [observation.tobytes() for _ in range(5) for observation in make("lbf-15x15-4p-5f", 20).reset()[0]]
     assert len(set(starts)) == 100
     env = make()
     first = env.reset(seed=3)[0]
@@ -262,7 +262,7 @@ def test_a_copy_goes_on_by_itself(mode: AutoresetMode, duplicate: Callable[[Any]
 def test_gymnasium_counts_episodes_right(mode: AutoresetMode) -> None:
     if mode is AutoresetMode.SAME_STEP and GYMNASIUM < (1, 4):
         pytest.skip("Gymnasium 1.2 and 1.3 forget the reward of an episode's first step in this mode")
-    env = RecordEpisodeStatistics(make(num_envs=5, autoreset_mode=mode), buffer_length=10_000)
+    env = RecordEpisodeStatistics(make(num_envs=5, seed=0, autoreset_mode=mode), buffer_length=10_000)
     rng = np.random.default_rng(0)
     _, info = env.reset()
     returns, lengths, waiting = np.zeros(5), np.zeros(5, int), np.zeros(5, bool)
@@ -326,7 +326,7 @@ def test_sampling_with_a_mask() -> None:
 
 
 def test_frames() -> None:
-    env = make(num_envs=2, render_mode="rgb_array")
+    env = make(num_envs=2, seed=0, render_mode="rgb_array")
     env.reset()
     frames = env.render()
     assert env.render_mode == "rgb_array" and env.metadata["render_fps"] == 5

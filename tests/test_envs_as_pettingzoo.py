@@ -127,7 +127,7 @@ def test_names_where_nobody_gives_any() -> None:
 
 def test_a_time_out_is_a_truncation_and_the_end_of_a_game_is_not() -> None:
     ends = []
-    env = envs.pettingzoo_env(LBF)
+    env = envs.pettingzoo_env(LBF, seed=0)
     for episode in range(20):
         _, infos = env.reset()
         length = 0
@@ -139,12 +139,10 @@ def test_a_time_out_is_a_truncation_and_the_end_of_a_game_is_not() -> None:
     assert set(ends) <= {(True, False, True), (False, True, False), (True, True, False)}
 
 
-@pytest.mark.parametrize(
-    "name", ["lbf-8x8-2p-2f-c", "lbf-15x15-4p-5f", "rware-tiny-2p", SPEAKER, "mpe-tag", "mpe2-adversary-selfplay"]
-)
+@pytest.mark.parametrize("name", ["lbf-15x15-4p-5f", "rware-tiny-4p", SPEAKER, "mpe-tag", "mpe2-adversary-selfplay"])
 def test_copies_without_a_seed_play_different_episodes(name: str) -> None:
-    """100 starts of 20 copies. Matrix games and battles are not here, since all their episodes begin alike; and in
-    lbf-5x5-2p-1f, which is small, two of 100 starts may be equal by chance."""
+    """100 starts of 20 copies. Matrix games and battles are not here, since all their episodes begin alike; nor are
+    small boards and rware-tiny-2p, where two of 100 starts may be equal by chance (there once in 70 runs)."""
     starts = set()
     for _ in range(20):
         env = envs.pettingzoo_env(name)
@@ -157,7 +155,7 @@ def test_copies_without_a_seed_play_different_episodes(name: str) -> None:
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_copies_of_one_that_was_not_seeded_differ(duplicate: Callable[[Any], Any]) -> None:
     """SuperSuit, and with it SB3, makes its copies like this, before the first reset."""
-    env = envs.pettingzoo_env("lbf-8x8-2p-2f-c")
+    env = envs.pettingzoo_env("mpe-tag")
     starts = {each.reset()[0]["agent_0"].tobytes() for each in (env, *(duplicate(env) for _ in range(9)))}
     assert len(starts) == 10
     first = [duplicate(envs.pettingzoo_env(LBF, seed=4)).reset()[0]["agent_0"].tolist() for _ in range(2)]
