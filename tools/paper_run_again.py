@@ -4,6 +4,7 @@
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
     python tools/paper_run_again.py words [<run directory of mpe-speaker-listener> ...]
     python tools/paper_run_again.py flight [<run directory of IPPO on smaclite-2s_vs_1sc-sc2>]
+    python tools/paper_run_again.py fall [<an update of MAPPO that was saved as the page says>]
     python tools/paper_run_again.py page
 
 The last one writes the figures of all parts into docs/paper-run-again.md, as after new results; read the page's
@@ -14,6 +15,7 @@ A test holds the page's figures against what this prints.
 """
 
 import contextlib
+import dataclasses
 import functools
 import io
 import itertools
@@ -22,6 +24,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -488,6 +491,70 @@ def certain() -> None:
     )
 
 
+def fall(file: str = "") -> None:
+    """MAPPO on rware-tiny-2p: by how much each seed fell from one point to the next; and how rare that is in RWARE. Or,
+    for the file of an update that was saved as the page says, what the update made of the team, and what two milder
+    ones would have."""
+    if file:
+        print("\n".join(updated(file)))
+        return
+    for seed, points in table(report().shown, "rware-tiny-2p", "mappo").sort_values("point").groupby("seed"):
+        returns, steps = points["return_mean"].to_numpy(), points["timestep"].to_numpy() / 1e6
+        best, fell = returns.argmax(), np.diff(returns).argmin()
+        print(
+            f"mappo, seed {seed}: best {returns[best]:.2f} at {steps[best]:.0f} million steps; its largest fall, from "
+            f"{steps[fell]:.0f} to {steps[fell + 1]:.0f} million, {returns[fell]:.2f} to {returns[fell + 1]:.2f}; "
+            f"at the end {returns[-1]:.2f}"
+        )
+    shown = report().shown
+    runs = shown[shown["family"] == "rware"].sort_values("point").groupby(["task", "algorithm", "sharing", "seed"])
+    ends = runs["return_mean"].agg(["max", "last"])
+    ends = ends[ends["max"] >= 1]
+    lost = ends[ends["last"] < ends["max"] / 2]
+    print(f"RWARE, runs whose best return is at least 1: {len(ends)}; at the end below half of it: {len(lost)}")
+
+
+def updated(file: str) -> list[str]:
+    """Returns over 100 episodes, and how many decisions of the batch the update changed: those in which more than half
+    of the probability moved to other actions."""
+    import mappo
+    import torch
+
+    from envs import runs
+
+    flags, n_updates, states, batch = torch.load(file)
+    args, batch = mappo.Args(**flags), mappo.Batch(*batch)
+    env = runs.make_for(args, 100, 0)
+
+    def probabilities(agents: Any) -> Any:
+        with torch.no_grad():
+            return mappo.log_probabilities(agents(batch.observations[:-1])[0], batch.action_masks[:-1]).exp()
+
+    lines = []
+    for words, epochs, share in (
+        *(("no update", 0, 1.0), ("the update", args.update_epochs, 1.0)),
+        *(("at half the learning rate", args.update_epochs, 0.5), ("with one epoch", 1, 1.0)),
+    ):
+        agents = mappo.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, args.network)
+        critic, target_critic = (mappo.MultiAgentNetwork(args, env.n_agents, env.state_size, 1) for _ in range(2))
+        optimisers = [torch.optim.Adam(network.parameters(), fused=True) for network in (agents, critic)]
+        parts = dict(zip(states, (agents, critic, target_critic, *optimisers), strict=True))
+        for name, part in parts.items():
+            part.load_state_dict(deepcopy(states[name]))  # Adam would go on in these very tensors
+        for optimiser in optimisers:
+            optimiser.param_groups[0]["lr"] *= share
+        before = probabilities(agents)
+        if epochs:
+            mappo.update(dataclasses.replace(args, update_epochs=epochs), parts, batch, n_updates)
+        moved = (probabilities(agents) - before).abs().sum(-1) / 2
+        team = mappo.Team(args, agents, torch.Generator().manual_seed(0))
+        env.reset(seed=0)
+        _, returns = mappo.collect(args, env, team, mappo.new_storage(args, env))
+        changed = f"{(moved > 0.5).sum()} of {moved.numel()} decisions changed"
+        lines.append(f"{words}: return {returns.mean():.1f}, {changed}")
+    return lines
+
+
 def parted() -> None:
     """The claims that the paper's tables support and our results do not, with the figures of both."""
     for claim, theirs, here in report().verdicts():
@@ -499,7 +566,7 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding, ends),
-        *(standardised, opponents, unshared, probes, words, flight, certain, parted),
+        *(standardised, opponents, unshared, probes, words, flight, certain, fall, parted),
     )
 }
 
@@ -525,7 +592,7 @@ if __name__ == "__main__":
     if (
         len(sys.argv) < 2
         or sys.argv[1] not in PARTS
-        or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "words", "flight"))
+        or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "words", "flight", "fall"))
     ):
         sys.exit(__doc__)
     PARTS[sys.argv[1]](*sys.argv[2:])
