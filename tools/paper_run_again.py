@@ -492,26 +492,25 @@ def certain() -> None:
 
 
 def fall(file: str = "") -> None:
-    """MAPPO on rware-tiny-2p: by how much each seed fell from one point to the next; and how rare that is in RWARE. Or,
-    for the file of an update that was saved as the page says, what the update made of the team, and what two milder
-    ones would have."""
+    """Runs on RWARE, with sharing, that fell far between two points. Or, for the file of an update of MAPPO that was
+    saved as the page says, what the update made of the team, and what two milder ones would have."""
     if file:
         print("\n".join(updated(file)))
         return
-    for seed, points in table(report().shown, "rware-tiny-2p", "mappo").sort_values("point").groupby("seed"):
+    shown = report().shown.sort_values("point")
+    shown = shown[(shown["family"] == "rware") & (shown["sharing"] == SHARED)]
+    runs = shown.groupby(["task", "algorithm", "seed"]).filter(lambda points: points["return_mean"].max() >= 1)
+    runs = runs.groupby(["task", "algorithm", "seed"])
+    print(
+        f"RWARE: in {len(runs)} runs the best return is at least 1. Falls by more than half of it between two points:"
+    )
+    for (task, algorithm, seed), points in runs:
         returns, steps = points["return_mean"].to_numpy(), points["timestep"].to_numpy() / 1e6
-        best, fell = returns.argmax(), np.diff(returns).argmin()
-        print(
-            f"mappo, seed {seed}: best {returns[best]:.2f} at {steps[best]:.0f} million steps; its largest fall, from "
-            f"{steps[fell]:.0f} to {steps[fell + 1]:.0f} million, {returns[fell]:.2f} to {returns[fell + 1]:.2f}; "
-            f"at the end {returns[-1]:.2f}"
-        )
-    shown = report().shown
-    runs = shown[shown["family"] == "rware"].sort_values("point").groupby(["task", "algorithm", "sharing", "seed"])
-    ends = runs["return_mean"].agg(["max", "last"])
-    ends = ends[ends["max"] >= 1]
-    lost = ends[ends["last"] < ends["max"] / 2]
-    print(f"RWARE, runs whose best return is at least 1: {len(ends)}; at the end below half of it: {len(lost)}")
+        for k in np.flatnonzero(-np.diff(returns) > returns.max() / 2):
+            print(
+                f"{algorithm} on {task}, seed {seed}: {returns[k]:.2f} at {steps[k]:.0f} million steps, "
+                f"{returns[k + 1]:.2f} at {steps[k + 1]:.0f}, {returns[-1]:.2f} at the end; best {returns.max():.2f}"
+            )
 
 
 def updated(file: str) -> list[str]:
