@@ -556,9 +556,11 @@ def updated(file: str) -> Iterator[str]:
     moved = (probabilities(team.agents) - before).abs().sum(-1) / 2
     changed = f"{(moved > 0.5).sum()} of {moved.numel()} decisions changed"
     yield f"after it: return {played(env, team)[1].mean():.1f}; {changed}"
-    for words, epochs, share in (
-        *(("15 updates from here on", args.update_epochs, 1.0), ("with one epoch", 1, 1.0)),
-        ("at half the learning rate", args.update_epochs, 0.5),
+    one_epoch = dataclasses.replace(args, update_epochs=1)
+    for words, settings, share in (
+        ("15 updates from here on", args, 1.0),
+        ("with one epoch", one_epoch, 1.0),
+        ("at half the learning rate", args, 0.5),
     ):
         fallen = 0
         for seed in range(20):
@@ -568,7 +570,7 @@ def updated(file: str) -> Iterator[str]:
             returns = []
             for k in range(15):
                 seen, each = played(env, team)
-                mappo.update(dataclasses.replace(args, update_epochs=epochs), parts, seen, n_updates + k)
+                mappo.update(settings, parts, seen, n_updates + k)
                 returns.append(each.mean())
             fallen += np.convolve(returns, np.ones(3) / 3, "valid").min() < first / 2
         yield f"{words}: {fallen} of 20 fell below half of the return"
