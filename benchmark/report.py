@@ -136,6 +136,25 @@ class Report:
             words.append(f"{MAXIMA_WORDS} Its median, in units of the paper's interval: {middle}.")
         return "\n\n".join([*parts, *map(fill, words)])
 
+    def agreement_in_short(self) -> list[str]:
+        """A table of the average returns that agree, by family, and a sentence that counts them by seeds."""
+        averages = self.counted[self.counted["metric"] == "average_return"]
+        if averages.empty:
+            return []
+        others = agreement.placebo(averages)
+        families = {name: title for name, title in FAMILIES.items() if (averages["family"] == name).any()}
+
+        def line(title: str, cells: pd.DataFrame, text: Callable[[pd.Series], str]) -> list[str]:
+            return [title, *(text(cells.loc[cells["family"] == name, "agrees"]) for name in families)]
+
+        ours = line("ours that agree", averages, agreement.numbers)
+        theirs = line("another algorithm's, in their place, that would", others, agreement.percent)
+        parts = [tables.to_markdown(["average returns", *families.values()], [ours, theirs])]
+        by_seeds = averages[averages["family"] != "matrix"].groupby("seeds")["agrees"]
+        if counts := [f"{seeds}: {agreement.numbers(agrees)}" for seeds, agrees in by_seeds]:
+            parts += [f"Without the matrix games, by the number of our seeds: {'; '.join(counts)}."]
+        return parts
+
     def differences(self) -> str:
         """The cells that are outside the 95 % prediction interval, and what they are set apart as."""
         cells = self.compared[self.compared["difference"].abs() > 1]
@@ -282,8 +301,10 @@ class Report:
             "Average returns over training, with parameter sharing and the paper's budgets, on one task of each family:"
             " ours, and the paper's in brackets. A small number is the number of our seeds, where it is not five.",
             tables.short(self.both),
-            f"{self.agreement()} [All tables](benchmark/RESULTS.md) have intervals, maximum returns, learning curves, "
-            "CPU hours and the paper's claims one by one.",
+            self.agreement(),
+            *self.agreement_in_short(),
+            "[All tables](benchmark/RESULTS.md) have intervals, maximum returns, learning curves, CPU hours and the "
+            "paper's claims one by one.",
         ]
         if "normalised-shared" in self.figures():
             parts.append("![Normalised returns over training](benchmark/figures/normalised-shared.png)")

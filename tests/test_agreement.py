@@ -155,3 +155,16 @@ def test_the_report_says_what_agrees():
         agrees = counted.loc[counted["metric"] == metric, "agrees"]
         assert lbf[column] == f"{agrees.sum()} of {len(agrees)}"
     assert "cells in which both intervals are printed as 0.00" in table
+
+
+def test_the_readme_counts_averages_by_family_and_by_seeds():
+    made = report.Report(store.RESULTS)
+    table, sentence = made.agreement_in_short()
+    averages = made.counted[made.counted["metric"] == "average_return"]
+    header, _, ours, others = ([cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines())
+    chosen = averages[averages["family"] == "rware"]
+    column = header.index("RWARE")
+    assert ours[column] == f"{chosen['agrees'].sum()} of {len(chosen)}"
+    assert others[column] == agreement.percent(agreement.placebo(chosen)["agrees"])
+    single = averages[(averages["family"] != "matrix") & (averages["seeds"] == 1)]
+    assert f" 1: {single['agrees'].sum()} of {len(single)};" in sentence
