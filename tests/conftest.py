@@ -1,11 +1,17 @@
 """For all tests."""
 
 from envs import runs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are as there)
+import os
 import signal
 from pathlib import Path
 
 import pytest
 from filelock import FileLock
+
+# Programs that tests start import this checkout, whatever is installed
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(Path(__file__).resolve().parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
 
 if hasattr(signal, "SIGHUP"):  # `nohup` has it ignored, and programs keep it so; tests ask what it does otherwise
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

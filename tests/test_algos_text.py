@@ -4,6 +4,7 @@ import ast
 import collections
 import csv
 import re
+import sys
 
 import pytest
 from scripts import INDIVIDUAL, NAMES, ON_POLICY, ROOT, VALUE_BASED, parse, script
@@ -176,6 +177,7 @@ def test_every_spelling_of_the_deciding_flags_is_found(spelling):
 @pytest.mark.parametrize("name", NAMES)
 def test_help_shows_the_docstring_and_the_values_for_the_chosen_task(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(sys, "argv", [f"algos/{name}.py"])  # which the line of usage shows
     with pytest.raises(SystemExit) as end:
         parse(name, ["--env", "matrix-climbing", "--help"])
     assert not end.value.code

@@ -205,12 +205,11 @@ def test_the_lines_that_a_diff_shows(first, second, lines):
     assert len(after - before) == int(lines)
 
 
-FIGURES = ROOT / "docs" / "paper-run-again.md"
-
-
-@pytest.mark.parametrize("part", re.findall(r"\$ python tools/paper_run_again.py (\w+)", FIGURES.read_text()))
-def test_the_paper_run_again(part):
-    shown = re.search(rf"\$ python tools/paper_run_again.py {part}\n(.*?)```", FIGURES.read_text(), flags=re.DOTALL)
-    done = run("tools/paper_run_again.py", part, folder=ROOT)
+@pytest.mark.slow
+def test_the_paper_run_again():
+    """Every figure of the page, made anew by one process."""
+    page = ROOT / "docs" / "paper-run-again.md"
+    program = "import paper_run_again as tool; print(tool.filled(tool.PAGE.read_text(encoding='utf-8')), end='')"
+    done = run("-c", program, folder=ROOT / "tools")
     assert done.returncode == 0, done.stderr
-    assert shown is not None and shown[1] == done.stdout
+    assert done.stdout.splitlines() == page.read_text(encoding="utf-8").splitlines()

@@ -592,8 +592,8 @@ PARTS: dict[str, Callable[..., None]] = {
 }
 
 
-def write_page() -> None:
-    """Puts the present figures into the page."""
+def filled(page: str) -> str:
+    """The page with the present figures of all its parts."""
 
     def block(shown: re.Match[str]) -> str:
         printed = io.StringIO()
@@ -601,14 +601,13 @@ def write_page() -> None:
             PARTS[shown[2]]()
         return f"{shown[1]}{printed.getvalue()}```"
 
-    text = PAGE.read_text(encoding="utf-8")
     command = r"(\$ python tools/paper_run_again\.py (\w+)\n).*?```"
-    PAGE.write_text(re.sub(command, block, text, flags=re.DOTALL), encoding="utf-8")
+    return re.sub(command, block, page, flags=re.DOTALL)
 
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["page"]:
-        write_page()
+        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
         sys.exit()
     if (
         len(sys.argv) < 2
