@@ -1,6 +1,7 @@
 """The scripts of algos/ as modules, and the pieces that their tests share."""
 
 import importlib.util
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -11,15 +12,30 @@ import numpy as np
 import torch
 
 import envs
+from benchmark.store import ALGORITHMS
 
 torch.set_num_threads(1)  # as the scripts do: tiny networks, and tests run side by side
 
 ROOT = Path(__file__).resolve().parent.parent
-NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))
-VALUE_BASED = [name for name in NAMES if name in ("iql", "vdn", "qmix")]
-OFF_POLICY = [name for name in NAMES if name in ("maddpg", *VALUE_BASED)]
+NAMES = sorted(path.stem for path in (ROOT / "algos").glob("*.py"))  # every script, also one that is new
+NINE = sorted(ALGORITHMS)  # those of the paper: what a new script cannot have is asked of these alone
+
+
+def with_flag(flag: str) -> list[str]:
+    """The scripts that have this flag of their own."""
+    field = re.compile(rf"^    {flag}: (?!ClassVar)", re.MULTILINE)
+    return [name for name in NAMES if field.search((ROOT / "algos" / f"{name}.py").read_text(encoding="utf-8"))]
+
+
+OFF_POLICY = with_flag("buffer_size")
 ON_POLICY = [name for name in NAMES if name not in OFF_POLICY]
-INDIVIDUAL = [name for name in NAMES if name not in ("coma", "vdn", "qmix")]  # learn from agents' own rewards
+VALUE_BASED = with_flag("eval_epsilon")
+INDIVIDUAL = with_flag("individual_rewards")  # learn from agents' own rewards
+
+
+def nine(names: list[str]) -> list[str]:
+    """Those of the paper among these."""
+    return [name for name in names if name in NINE]
 
 
 SCRIPTS: dict[str, ModuleType] = {}
@@ -108,6 +124,7 @@ def near(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
 __all__ = [
     "INDIVIDUAL",
     "NAMES",
+    "NINE",
     "OFF_POLICY",
     "ON_POLICY",
     "ROOT",
@@ -117,6 +134,7 @@ __all__ = [
     "load_module",
     "main",
     "near",
+    "nine",
     "parse",
     "script",
     "trained",

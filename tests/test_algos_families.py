@@ -5,13 +5,13 @@ test_algos_first_updates.py has every family of tasks.
 
 import pytest
 import torch
-from scripts import INDIVIDUAL, NAMES, trained
+from scripts import INDIVIDUAL, NAMES, OFF_POLICY, trained
 
 
 def few_updates(monkeypatch, name, task, sharing, **flags):
     """Two batches of one or two episodes; all figures are finite, and the agents have learned something."""
     flags |= {"hidden_dim": 8, "network": "gru", "reward_standardisation": True, "parameter_sharing": sharing}
-    flags |= {"batch_size": 1, "buffer_size": 4} if name in ("iql", "vdn", "qmix", "maddpg") else {"num_envs": 2}
+    flags |= {"batch_size": 1, "buffer_size": 4} if name in OFF_POLICY else {"num_envs": 2}
     start = trained(monkeypatch, name, 0, task, **flags).parts["agents"].state_dict()
     run = trained(monkeypatch, name, 2, task, **flags)
     assert run.n_updates == 2

@@ -8,7 +8,7 @@ import json
 
 import pytest
 import torch
-from scripts import NAMES, OFF_POLICY, ROOT, trained
+from scripts import NINE, OFF_POLICY, ROOT, trained
 
 RECORDED = ROOT / "tests" / "data" / "first_updates.json"
 TASKS = ["matrix-climbing", "lbf-8x8-2p-2f", "mpe-spread", "rware-tiny-2p", "smaclite-2s_vs_1sc-sc2"]
@@ -28,7 +28,7 @@ def first_updates(monkeypatch, name, task):
 
 
 @pytest.mark.skipif(not torch.backends.mkl.is_available(), reason="PyTorch draws exponential numbers otherwise here")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NINE)
 @pytest.mark.parametrize("task", [TASKS[0], *(pytest.param(task, marks=pytest.mark.slow) for task in TASKS[1:])])
 def test_the_first_updates_are_those_recorded(monkeypatch, name, task):
     """As near as other processors round: one draw or one reward that differed would show in the first digits."""
@@ -39,7 +39,7 @@ def test_the_first_updates_are_those_recorded(monkeypatch, name, task):
 def record() -> None:
     """Writes the recording."""
     with pytest.MonkeyPatch.context() as patch:
-        found = {name: {task: first_updates(patch, name, task) for task in TASKS} for name in NAMES}
+        found = {name: {task: first_updates(patch, name, task) for task in TASKS} for name in NINE}
     RECORDED.write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from scripts import NAMES, ON_POLICY, envs, script, trained
+from scripts import NAMES, NINE, ON_POLICY, envs, nine, script, trained
 
 GAMMA = 0.5
 
 
 def shared(name):
     """A function or class, from the first script that has it. Its text is the same in the others (test_algos_text)."""
-    return next(getattr(script(each), name) for each in NAMES if hasattr(script(each), name))
+    return next(getattr(script(each), name) for each in NINE if hasattr(script(each), name))
 
 
 def column(values, dtype=torch.float32):
@@ -125,7 +125,7 @@ class TestPolicies:
 class TestNetworks:
     def networks(self, parameter_sharing=True, core="fc"):
         """Of three agents, with four inputs and two outputs."""
-        module = script(NAMES[0])
+        module = script(NINE[0])
         args = module.Args(hidden_dim=8, parameter_sharing=parameter_sharing)
         return module.MultiAgentNetwork(args, 3, 4, 2, core)
 
@@ -230,7 +230,7 @@ class TestCollect:
         np.testing.assert_allclose(returns, sums)  # the team's, also where each agent learns from its own rewards
 
 
-@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("name", nine(ON_POLICY))
 @pytest.mark.parametrize("sharing", [True, False])
 @pytest.mark.parametrize("network", ["fc", "gru"])
 @pytest.mark.parametrize("individual", [False, True])

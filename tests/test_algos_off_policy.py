@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scripts import OFF_POLICY, VALUE_BASED, FakeRun, parse, script, trained
+from scripts import OFF_POLICY, VALUE_BASED, FakeRun, nine, parse, script, trained
 from slow import (
     LENGTHS,
     N_ACTIONS,
@@ -28,7 +28,7 @@ from slow import (
 
 from envs import runs
 
-REWARDS = [(name, False) for name in OFF_POLICY] + [("iql", True), ("maddpg", True)]  # of the team, or of each agent
+REWARDS = [(name, False) for name in nine(OFF_POLICY)] + [("iql", True), ("maddpg", True)]  # the team's, or each agent's
 LOSSES = {
     "optimiser": "loss/value",
     "actor_optimiser": "loss/actor",
@@ -201,7 +201,7 @@ def slow_update(name, args, parts, batch):
     return norms
 
 
-@pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.parametrize("name", nine(OFF_POLICY))
 @pytest.mark.slow
 def test_updates_in_a_row(name):
     """Adam, clipping and soft targets with the losses: a mistake in what one update leaves to the next shows here."""
@@ -220,7 +220,7 @@ def test_updates_in_a_row(name):
     assert_learnt_alike(parts, slow, start)
 
 
-@pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.parametrize("name", nine(OFF_POLICY))
 @pytest.mark.parametrize("network", ["fc", "gru"])
 @pytest.mark.parametrize("standardisation", [False, True])
 def test_what_was_not_played_is_never_learnt_from(name, network, standardisation):
@@ -238,7 +238,7 @@ def test_what_was_not_played_is_never_learnt_from(name, network, standardisation
         torch.testing.assert_close(full, empty)
 
 
-@pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.parametrize("name", nine(OFF_POLICY))
 @pytest.mark.parametrize("method", ["hard", "soft"])
 def test_targets_follow(name, method):
     """All targets are copied at update 200 and not at 199, or move by one hundredth of the way at each update."""
@@ -280,7 +280,7 @@ class TestMixer:
 # --- exploration ---
 class TestEpsilon:
     def team(self, epsilon):
-        module = script(VALUE_BASED[0])
+        module = script(nine(VALUE_BASED)[0])
         args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, 2, OBS_SIZE, N_ACTIONS)
@@ -305,7 +305,7 @@ class TestEpsilon:
         # five standard errors
         assert (np.abs(frequencies - expected.ravel()) <= 5 * np.sqrt(expected * (1 - expected) / n).ravel()).all()
 
-    @pytest.mark.parametrize("name", VALUE_BASED)
+    @pytest.mark.parametrize("name", nine(VALUE_BASED))
     def test_schedule(self, monkeypatch, name):
         """From 1 to 0.05 in 100 steps, four episodes of a matrix game; in evaluations the evaluations' own."""
         module, seen = script(name), []
@@ -366,7 +366,7 @@ class TestReplay:
 
     def begin(self, path, episode=0, state_is_observations=False, episode_limit=6, **flags):
         """A replay, its game and a function that plays some episodes into it."""
-        module = script(OFF_POLICY[0])
+        module = script(nine(OFF_POLICY)[0])
         args = module.Args(**{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
@@ -458,7 +458,7 @@ class TestReplay:
 
 
 # --- training ---
-@pytest.mark.parametrize("name", OFF_POLICY)
+@pytest.mark.parametrize("name", nine(OFF_POLICY))
 def test_updates_and_checkpoints_of_a_run(monkeypatch, tmp_path, name):
     """One update an episode from the first full batch on, numbered from 1; a checkpoint each quarter of the replay."""
     module, numbers, saves = script(name), [], []

@@ -5,7 +5,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
-from scripts import ON_POLICY, script
+from scripts import ON_POLICY, nine, script
 from slow import (
     LENGTHS,
     N_ACTIONS,
@@ -107,7 +107,7 @@ def slow_update(name, args, parts, batch, clips):
     return losses
 
 
-@pytest.mark.parametrize("name", ON_POLICY)
+@pytest.mark.parametrize("name", nine(ON_POLICY))
 @pytest.mark.parametrize("time_limit", ["bootstrap", "terminal"])
 @pytest.mark.parametrize(
     "sharing, network, standardisation, individual",

@@ -2,12 +2,12 @@
 
 import pytest
 import torch
-from scripts import NAMES, ROOT, VALUE_BASED, load_module, script
+from scripts import NINE, ROOT, VALUE_BASED, load_module, script
 
 exercise = load_module(ROOT / "examples/check_exercise.py")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NINE)
 @pytest.mark.parametrize("case", exercise.CASES)
 @pytest.mark.slow
 def test_five_updates_are_those_of_epymarl(name, case):

@@ -7,7 +7,7 @@ import re
 import sys
 
 import pytest
-from scripts import INDIVIDUAL, NAMES, ON_POLICY, ROOT, VALUE_BASED, parse, script
+from scripts import INDIVIDUAL, NAMES, NINE, ON_POLICY, ROOT, VALUE_BASED, nine, parse, script
 
 MAY_DIFFER = {"Args", "update", "train", "Team"}
 SECTIONS = ["networks", "maths", "experience", "update", "train", "load"]
@@ -55,8 +55,8 @@ def test_two_kinds_of_team():
     def text(name):
         return source(name).split("class Team:")[1].split("\n\n\n")[0]
 
-    assert len({text(name) for name in VALUE_BASED}) == 1
-    assert len({text(name) for name in set(NAMES) - set(VALUE_BASED)}) == 1
+    assert len({text(name) for name in nine(VALUE_BASED)}) == 1
+    assert len({text(name) for name in set(NINE) - set(VALUE_BASED)}) == 1
 
 
 def test_one_order_and_the_same_end():
@@ -78,12 +78,20 @@ def test_length(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_first_line_says_where_it_is_explained_and_where_curves_are(name):
-    page, curves = re.findall(r"[a-zA-Z0-9/]+\.md", source(name).splitlines()[0])
-    assert page == f"docs/algorithms/{name}.md" and (ROOT / page).exists() and (ROOT / curves).exists()
+def test_what_comes_with_a_script(name):
+    """Its page, which the first line names, and a docstring."""
+    page = f"docs/algorithms/{name}.md"
+    assert source(name).startswith(f"# {page} "), f"the first line of algos/{name}.py must name its page, {page}"
+    assert (ROOT / page).exists(), f"algos/{name}.py has no page; write {page}"
+    doc = script(name).__doc__ or ""
+    title = f"{name.upper()}: "
+    assert doc.startswith(title), f"the docstring of algos/{name}.py must begin with '{title}' and what that means"
+    assert re.search("^    .* = ", doc, re.MULTILINE), f"the docstring of algos/{name}.py has no formula"
+    run_it = f"python algos/{name}.py --env "
+    assert run_it in doc, f"the docstring of algos/{name}.py does not say how to run it: '{run_it}...'"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NINE)
 def test_what_to_expect_is_what_a_reference_run_had(name):
     """Of seed 0, in benchmark/results."""
     doc = script(name).__doc__ or ""
@@ -123,7 +131,7 @@ def as_flag(name, value):
     return float(value)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NINE)
 @pytest.mark.parametrize("family", TASK_OF_FAMILY)
 @pytest.mark.parametrize("sharing", [True, False])
 def test_defaults_are_the_papers(name, family, sharing):
@@ -145,7 +153,7 @@ def test_the_values_in_args_are_those_of_the_default_task(name):
     assert module.Args() == module.paper_defaults()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NINE)
 def test_a_family_that_the_paper_does_not_have(name):
     """Such a task begins with the same values in all scripts, none of them from the table of another family."""
     args = script(name).paper_defaults("own:examples.meeting_numpy")

@@ -291,7 +291,7 @@ class TestPlan:
         """The real scripts, every one on a task of every family, with the whole of the paper's grid."""
         monkeypatch.setattr(plan, "ALGOS", ROOT / "algos")
         grid = plan.read_grid(BENCHMARK / "grids" / "paper.csv")
-        paper = make_plan("all", "matrix", store.SHARING.values(), seeds=2)
+        paper = make_plan(" ".join(store.ALGORITHMS), "matrix", store.SHARING.values(), seeds=2)
         assert all(run.changed == {} for run in paper) and len(paper) == 9 * 6 * 2 * 2
         searched = make_plan("ia2c qmix", "matrix-climbing", ("shared",), 3, grid=grid)
         searched += make_plan("maddpg", "matrix-climbing lbf-15x15-3p-5f", ("shared",), 3, grid=grid)
