@@ -28,7 +28,7 @@ from slow import (
 
 from envs import runs
 
-REWARDS = [(name, False) for name in nine(OFF_POLICY)] + [("iql", True), ("maddpg", True)]  # the team's, or each agent's
+REWARDS = [(name, False) for name in nine(OFF_POLICY)] + [("iql", True), ("maddpg", True)]  # the team's, or their own
 LOSSES = {
     "optimiser": "loss/value",
     "actor_optimiser": "loss/actor",
