@@ -21,6 +21,8 @@ ALGOS = Path(__file__).resolve().parents[1] / "algos"
 Flags = tuple[str, ...]
 Grid = list[dict[str, str]]  # the lines of a grid, by GRID_COLUMNS
 GRID_COLUMNS = ["algorithms", "families", "flag", "values"]
+Seeds = dict[tuple[str, str], int]  # how many seeds each row of the tables gets: by task and sharing
+SEEDS_COLUMNS = ["task", "sharing", "seeds"]
 OF_THIS_PROGRAM = ["env", "parameter_sharing", "seed", "run_dir", "resume", "watch"]  # flags that it gives itself
 
 
@@ -83,19 +85,39 @@ def chosen_tasks(words: list[str]) -> list[str]:
     return list(dict.fromkeys(tasks))
 
 
+def read_rows(path: Path, kind: str, columns: list[str]) -> list[dict[str, str]]:
+    """The lines of a CSV with exactly these columns. InputError where it cannot be read or is no such file."""
+    try:
+        with open(path, newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise envs.InputError(f"{path} cannot be read: {error}") from None
+    if not rows or any(list(row) != columns or None in row.values() for row in rows):
+        raise envs.InputError(f"{path} is not a {kind}: its columns must be {', '.join(columns)}.")
+    return rows
+
+
+def read_seeds(path: Path) -> Seeds:
+    """A plan of seeds, such as benchmark/seeds.csv: columns task, sharing (shared or independent), seeds.
+
+    InputError where the file cannot be read or is not of this form, and for a task that does not exist.
+    """
+    rows = read_rows(path, "plan of seeds", SEEDS_COLUMNS)
+    wrong = [row for row in rows if row["sharing"] not in store.SHARING.values() or not row["seeds"].isdecimal()]
+    if wrong or len({(row["task"], row["sharing"]) for row in rows}) < len(rows):
+        raise envs.InputError(
+            f"{path} is not a plan of seeds: each task and sharing (shared or independent) has one line and a number."
+        )
+    return {(envs.task(row["task"]).name, row["sharing"]): int(row["seeds"]) for row in rows}
+
+
 def read_grid(path: Path) -> Grid:
     """A grid: columns algorithms, families, flag, values; several words in a cell are separated by spaces.
 
     Every combination of the values of those lines that name an algorithm and the task's family is one variant.
     InputError where the file cannot be read or is not of this form.
     """
-    try:
-        with open(path, newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise envs.InputError(f"{path} cannot be read: {error}") from None
-    if not rows or any(list(row) != GRID_COLUMNS or None in row.values() for row in rows):
-        raise envs.InputError(f"{path} is not a grid: its columns must be {', '.join(GRID_COLUMNS)}.")
+    rows = read_rows(path, "grid", GRID_COLUMNS)
     if empty := [row["flag"] for row in rows if not row["flag"].strip() or not row["values"].split()]:
         raise envs.InputError(f"{path} has a line without a flag or without values: {', '.join(empty)}.")
     return rows
@@ -116,25 +138,23 @@ def variants(grid: Grid, algorithm: str, family: str) -> Iterator[Flags]:
         yield tuple(word for flag in flags for word in flag.split())
 
 
-def make_plan(
-    algorithms: list[str],
-    tasks: list[str],
-    sharings: list[str],
-    seeds: int,
-    flags: Flags,
-    grid: Grid | None,
-    runs: Path,
-) -> list[PlannedRun]:
+def make_plan(algorithms: list[str], seeds: Seeds, flags: Flags, grid: Grid | None, runs: Path) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""
     settings = []
-    for task, algorithm, sharing in itertools.product(tasks, algorithms, sharings):
+    by_task: dict[str, list[str]] = {}
+    for task, sharing in seeds:
+        by_task.setdefault(task, []).append(sharing)
+    rows = ((task, algorithm, sharing) for task in by_task for algorithm in algorithms for sharing in by_task[task])
+    for task, algorithm, sharing in rows:
         family = envs.task(task).family
         chosen = [()] if grid is None else list(variants(grid, algorithm, family))
         if chosen == [()] and grid is not None:
             raise envs.InputError(f"the grid has no line for {algorithm} on tasks of the family {family}.")
         settings += [make_setting(algorithm, task, sharing, (*variant, *flags)) for variant in chosen]
     plan = []
-    for seed, setting in itertools.product(range(seeds), settings):
+    for seed, setting in itertools.product(range(max(seeds.values())), settings):
+        if seed >= seeds[setting["task"], setting["sharing"]]:
+            continue
         name = setting["algorithm"], setting["task"], setting["sharing"] == "shared"
         plan.append(PlannedRun(**setting, seed=seed, directory=run_path(runs, *name, seed, setting["changed"])))
     if len({run.directory for run in plan}) < len(plan):

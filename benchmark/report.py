@@ -28,6 +28,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -36,7 +37,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from benchmark import agreement, claims, measures, plots, tables
+from benchmark import agreement, claims, measures, plan, plots, tables
 from benchmark.measures import in_tables, our_cells
 from benchmark.store import (
     FAMILIES,
@@ -56,6 +57,7 @@ from envs.runs import one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
+SEEDS = HERE / "seeds.csv"
 EVALUATION_COLUMNS = [
     *("task", "family", "algorithm", "sharing", "setting", "total_timesteps", "seed", "timestep"),
     *("return", "return_std", "episode_length", "cpu_seconds", "commit"),
@@ -70,9 +72,14 @@ class Report:
         self.shown = in_tables(self.evaluations)
         self.against_own = in_tables(self.evaluations, own_opponent=True)
         self.ours, self.paper = our_cells(self.evaluations), paper_cells()
-        self.both = tables.compare(self.ours, self.paper)
+        committed = results.resolve() == RESULTS
+        self.planned = plan.read_seeds(SEEDS) if committed else {}  # of one's own results nothing is planned here
+        self.both = tables.compare(self.ours, self.paper, self.planned)
         self.compared = self.both[self.both["difference"].notna()]  # with the paper's
         self.counted = agreement.counted(self.compared)
+        rows = zip(self.shown["task"], self.shown["sharing"])
+        self.counted_planned = self.counted_of(self.shown["seed"] < [self.planned.get(row, np.inf) for row in rows])
+        self.counted_first = self.counted_of(self.shown["seed"] == 0)
         self.normalised = measures.normalise(self.evaluations)
         self.hours = measures.cpu_hours(self.evaluations)
         self.speeds = speeds(results)
@@ -97,63 +104,95 @@ class Report:
             made["speed"] = partial(plots.simulation_speed, self.speeds)
         return made
 
+    def counted_of(self, chosen: Any) -> pd.DataFrame:
+        """The counted cells, made of these rows of the evaluations that the tables show."""
+        cells = our_cells(self.shown[chosen].drop(columns="other_budget"))
+        return agreement.counted(tables.compare(cells[cells["metric"].isin(agreement.METRICS)], self.paper))
+
     def agreement(self) -> str:
-        """How many of our values agree with the paper's."""
+        """How many of our values agree with the paper's: with seed 0 alone, with the planned seeds, with all."""
         if self.counted.empty:
             return "None of our values is of one of the paper's tasks with its budget and flags."
-        games = self.counted["family"] == "matrix"
-        others = self.counted[~games & (self.counted["apart"] == "")]
-        of = [
-            f"{agreement.numbers(others.loc[others['metric'] == metric, 'agrees'])} {name}"
-            for metric, name in agreement.METRICS.items()
+
+        def said(cells: pd.DataFrame, apart: bool = False) -> str:
+            chosen = (cells["family"] != "matrix") & (apart | (cells["apart"] == ""))
+            return agreement.numbers(cells.loc[chosen, "agrees"]) or "none"
+
+        parts = [
+            f"With seed 0 alone, {said(self.counted_first)} of our average and maximum returns agree with the paper's: "
+            "they lie within the 95 % prediction interval of the difference, outside which chance puts one in twenty."
         ]
-        single = (others["seeds"] == 1).mean()
+        if self.planned:
+            parts += [
+                f"With each cell cut to the seeds that are planned for its row, {said(self.counted_planned)} agree"
+                f"{self.incomplete_rows()}. With all seeds {said(self.counted)} agree. The last figure is too good: "
+                "before there was a plan, cells that did not agree got more seeds until they did."
+            ]
+        elif (self.counted["seeds"] > 1).any():
+            parts += [f"With all seeds {said(self.counted)} agree."]
+        parts += [
+            f"Not counted here are the matrix games, and {' and '.join(agreement.SET_APART)}, which were set apart "
+            f"after their results were known; with these two, {said(self.counted_first, True)} agree with seed 0, and "
+            f"{said(self.counted, True)} with all."
+        ]
+        return " ".join(parts)
+
+    def incomplete_rows(self) -> str:
+        """That in some rows with several planned seeds it is still chosen which cells have them."""
+        rows = [row for row, seeds in self.planned.items() if seeds > 1 and not row[0].startswith("matrix")]
+        there = self.shown.groupby(["task", "sharing", "algorithm"])["seed"].nunique()
+        least = there.groupby(["task", "sharing"]).min()
+        number = sum(least.get(row, 0) < self.planned[row] for row in rows)
+        if not number:
+            return ""
         return (
-            f"Outside the matrix games, and without {' and '.join(agreement.SET_APART)}, where a known difference in "
-            f"code or game matters, {' and '.join(of)} agree with the paper's: they lie within the 95 % prediction "
-            "interval of the difference, outside which chance puts one in twenty. "
-            f"{100 * single:.0f} % of them are of one seed."
+            f"; {number} of the {len(rows)} rows with more than one are not complete yet, and have the next one's fault"
         )
 
     def agreement_table(self) -> str:
-        """How many of our values agree with the paper's, by family and sharing, and by the number of seeds."""
+        """How many of our values agree with the paper's, by family and sharing; and the test's false alarms."""
         if self.counted.empty:
             return ""
-        corrected = agreement.without_bias(self.counted, self.shown)
-        averages, maxima = agreement.METRICS.values()
-        families = agreement.by_family(self.counted, corrected, plots.SHARING)
-        header = ["", averages, "placebo", maxima, "placebo", f"{maxima}, corrected"]
-        parts = [tables.to_markdown(header, families)]
-        alarms = ["false alarms", "false alarms where the paper prints ± 0.02"]
-        if seeds := agreement.by_seeds(self.counted, corrected):
-            parts += [tables.to_markdown(["our seeds", *alarms, averages, maxima, f"{maxima}, corrected"], seeds)]
+        corrected = agreement.without_bias(self.counted_planned, self.shown)
+        which = "planned seeds" if self.planned else "all seeds"
+        columns = [
+            column
+            for name in agreement.METRICS.values()
+            for column in (f"{name}, seed 0", f"{name}, {which}", "placebo")
+        ]
+        families = agreement.by_family(self.counted_first, self.counted_planned, corrected, plots.SHARING)
+        parts = [tables.to_markdown(["", *columns, f"maximum returns, {which}, corrected"], families)]
+        alarms = [
+            [str(seeds), *(f"{100 * agreement.false_alarms(seeds, interval):.1f} %" for interval in (1.0, 0.02))]
+            for seeds in sorted(self.counted_planned["seeds"].unique())
+        ]
+        parts.append(
+            tables.to_markdown(["our seeds", "false alarms", "false alarms where the paper prints ± 0.02"], alarms)
+        )
         single = corrected[(corrected["seeds"] == 1) & (corrected["paper_interval"] > 0)]
         trivial = self.compared["metric"].isin(agreement.METRICS) & agreement.is_trivial(self.compared)
-        words = [AGREEMENT_WORDS, f"Left out are {trivial.sum()} cells in which both intervals are printed as 0.00."]
+        words = [AGREEMENT_WORDS.format(left_out=trivial.sum())]
         if len(single):
             surplus = (single["bias"] / single["paper_interval"]).groupby(single["family"]).median()
             middle = ", ".join(f"{surplus[name]:.1f} in {FAMILIES[name]}" for name in FAMILIES if name in surplus)
             words.append(f"{MAXIMA_WORDS} Its median, in units of the paper's interval: {middle}.")
         return "\n\n".join([*parts, *map(fill, words)])
 
-    def agreement_in_short(self) -> list[str]:
-        """A table of the average returns that agree, by family, and a sentence that counts them by seeds."""
-        averages = self.counted[self.counted["metric"] == "average_return"]
-        if averages.empty:
-            return []
+    def agreement_in_short(self) -> str:
+        """A table of the average returns that agree, by family."""
+        first, averages = (cells[cells["metric"] == "average_return"] for cells in (self.counted_first, self.counted))
         others = agreement.placebo(averages)
         families = {name: title for name, title in FAMILIES.items() if (averages["family"] == name).any()}
 
         def line(title: str, cells: pd.DataFrame, text: Callable[[pd.Series], str]) -> list[str]:
             return [title, *(text(cells.loc[cells["family"] == name, "agrees"]) for name in families)]
 
-        ours = line("ours that agree", averages, agreement.numbers)
-        theirs = line("another algorithm's, in their place, that would", others, agreement.percent)
-        parts = [tables.to_markdown(["average returns", *families.values()], [ours, theirs])]
-        by_seeds = averages[averages["family"] != "matrix"].groupby("seeds")["agrees"]
-        if counts := [f"{seeds}: {agreement.numbers(agrees)}" for seeds, agrees in by_seeds]:
-            parts += [f"Without the matrix games, by the number of our seeds: {'; '.join(counts)}."]
-        return parts
+        lines = [
+            line("ours that agree, seed 0 alone", first, agreement.numbers),
+            line(f"ours that agree, {'planned' if self.planned else 'all'} seeds", averages, agreement.numbers),
+            line("another algorithm's, in their place, that would", others, agreement.percent),
+        ]
+        return tables.to_markdown(["average returns", *families.values()], lines if families else [])
 
     def differences(self) -> str:
         """The cells that are outside the 95 % prediction interval, and what they are set apart as."""
@@ -302,23 +341,24 @@ class Report:
             " ours, and the paper's in brackets. A small number is the number of our seeds, where it is not five.",
             tables.short(self.both),
             self.agreement(),
-            *self.agreement_in_short(),
+            self.agreement_in_short(),
             "[All tables](benchmark/RESULTS.md) have intervals, maximum returns, learning curves, CPU hours and the "
             "paper's claims one by one.",
         ]
         if "normalised-shared" in self.figures():
             parts.append("![Normalised returns over training](benchmark/figures/normalised-shared.png)")
-        return paragraphs(parts)
+        return paragraphs([part for part in parts if part])
 
 
 AGREEMENT_WORDS = """\
 The test: for one seed of ours the interval has the spread of the paper's five, for several the spread of ours and
 theirs together, and Student's t with 4, or 3 more than our seeds, degrees of freedom. False alarms: how many runs that
 are as the paper's it would reject, by simulation. An interval printed as 0.00 counts as 0.005. Placebo: how many values
-of another of our algorithms on the same task would agree with the paper's; where it is high, the test sees little.
-By the number of seeds, the matrix games are left out. There the off-policy cells have, by the same seeds of PyTorch,
-the very networks that the paper's runs began with, and often its values to the last digit: they are no independent
-replication."""
+of another of our algorithms on the same task would agree with the paper's; where it is high, the test
+sees little. In the matrix games the off-policy cells have, by the same seeds of PyTorch, the very networks that the
+paper's runs began with, and often its values to the last digit: they are no independent replication. Left out are
+{left_out} cells in which nothing can differ: both intervals are printed as 0.00, or both values are the most that the
+game can return."""
 
 
 MAXIMA_WORDS = """\

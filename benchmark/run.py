@@ -3,11 +3,16 @@
     python benchmark/run.py --algorithms mappo ia2c --tasks lbf rware-tiny-4p --seeds 5 --sharing both [-- <flags>]
     python benchmark/run.py --algorithms all --tasks matrix --dry-run        what it would run, and how long that takes
     python benchmark/run.py --algorithms ia2c --tasks matrix-climbing --grid benchmark/grids/paper.csv       a search
+    python benchmark/run.py --algorithms all --plan benchmark/seeds.csv      as many seeds as a plan gives each row
 
 Runs that the results have are left out, runs that were interrupted go on, complete ones are collected. Ctrl-C stops
 all of them at their next checkpoint, and the same command goes on. A run that fails leaves its output beside its
 directory (log-seed<k>.txt), and the others go on. Exit code 0: the results have the whole plan; 1: they do not;
 2: wrong input; 128 and the number of the signal: stopped.
+
+A plan has the columns task, sharing and seeds; --tasks and --sharing choose among its rows. A row of mpe-adversary or
+mpe-tag is one of the paper's tables, whose teams met opponents of the paper. It is run where its flags give that:
+--plan benchmark/seeds.csv --tasks mpe-tag -- --env-kwargs "opponent='<file>'".
 
 Flags behind -- are for the scripts, such as -- --total-timesteps 1000000. For clusters see
 docs/how-to/campaign-on-many-machines.md.
@@ -15,6 +20,7 @@ docs/how-to/campaign-on-many-machines.md.
 
 import argparse
 import functools
+import itertools
 import os
 import signal
 import sys
@@ -27,7 +33,7 @@ if not __package__:  # as a program, from any folder
 from tqdm import tqdm
 
 import envs
-from benchmark import plan, store
+from benchmark import measures, plan, store
 from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, share_done
 from benchmark.plan import PlannedRun
 from envs.runs import one_sentence
@@ -87,17 +93,17 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--tasks",
         nargs="+",
-        required=True,
         metavar="name",
-        help=f"tasks, families ({', '.join(store.PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all",
+        help=f"tasks, families ({', '.join(store.PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all; "
+        "default with --plan: its tasks",
     )
     parser.add_argument(
         "--sharing",
         choices=["shared", "independent", "both"],
-        default="shared",
-        help="one network for all agents (default), one for each, or runs of both kinds",
+        help="one network for all agents (default), one for each, or runs of both kinds (default with --plan)",
     )
     parser.add_argument("--seeds", type=int, help=f"how many, from 0 on; default {SEEDS}, {GRID_SEEDS} with --grid")
+    parser.add_argument("--plan", type=Path, metavar="csv", help="how many seeds each task gets, such as seeds.csv")
     parser.add_argument("--grid", type=Path, metavar="csv", help="search: run every combination of these flags")
     parser.add_argument("--dry-run", action="store_true", help="only say what would run, and how long it would take")
     parser.add_argument("--jobs", type=int, help="runs at once; default: one for each core")
@@ -110,19 +116,52 @@ def parse() -> argparse.Namespace:
         parser.error(f"unknown: {' '.join(unknown)} (flags for the scripts go behind --)")
     if any(number is not None and number < 1 for number in (args.jobs, args.seeds)):
         parser.error("--jobs and --seeds must be positive")
+    if args.plan and (args.seeds or args.grid):
+        parser.error("--plan says how many seeds there are, and goes with neither --seeds nor --grid")
+    if not (args.plan or args.tasks):
+        parser.error("--tasks or --plan must say what to run")
     return args
+
+
+def seeds_of_rows(args: argparse.Namespace) -> plan.Seeds:
+    """How many seeds each task and sharing gets. InputError where nothing of a plan was chosen."""
+    tasks = plan.chosen_tasks(args.tasks) if args.tasks else None
+    both = [*store.SHARING.values()]
+    if not args.plan:
+        sharings = both if args.sharing == "both" else [args.sharing or store.SHARED]
+        return dict.fromkeys(
+            itertools.product(tasks or [], sharings), args.seeds or (GRID_SEEDS if args.grid else SEEDS)
+        )
+    sharings = [args.sharing] if args.sharing in both else both
+    planned = plan.read_seeds(args.plan)
+    chosen = {row: n for row, n in planned.items() if n and row[0] in (tasks or (row[0],)) and row[1] in sharings}
+    if not chosen:
+        raise envs.InputError(f"{args.plan} plans no seeds for these tasks with this sharing.")
+    return chosen
+
+
+def of_the_papers_tables(runs: list[PlannedRun]) -> list[PlannedRun]:
+    """Those of a plan's runs that meet the paper's opponents, where a task has some; says what is left out. InputError
+    where that is everything."""
+    left = [run for run in runs if measures.paper_setting(run.task).items() <= run.changed.items()]
+    for task in dict.fromkeys(run.task for run in runs if run not in left):
+        print(
+            f"Left out: {task}, a row of the plan against the paper's opponent, which --env-kwargs names (see --help)."
+        )
+    if not left:
+        raise envs.InputError("nothing of the plan is left.")
+    return left
 
 
 def run_campaign(args: argparse.Namespace) -> int:
     """Plans, runs and reports; gives the exit code."""
-    sharings = [*store.SHARING.values()] if args.sharing == "both" else [args.sharing]
-    seeds = args.seeds or (GRID_SEEDS if args.grid else SEEDS)
+    seeds = seeds_of_rows(args)
     results = args.results or (store.HERE / "searches" / args.grid.stem if args.grid else store.RESULTS)
     grid = plan.read_grid(args.grid) if args.grid else None
     algorithms = plan.script_names() if "all" in args.algorithms else [*dict.fromkeys(args.algorithms)]
-    runs = plan.make_plan(
-        algorithms, plan.chosen_tasks(args.tasks), sharings, seeds, tuple(args.flags), grid, args.runs.resolve()
-    )
+    runs = plan.make_plan(algorithms, seeds, tuple(args.flags), grid, args.runs.resolve())
+    if args.plan:
+        runs = of_the_papers_tables(runs)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     jobs = args.jobs or cores
     if not args.results:

@@ -70,6 +70,15 @@ def family(task: str) -> str:
         return "other"
 
 
+@functools.cache
+def best_return(task: str) -> float:
+    """The most that an episode of a task can return; infinite where no such bound is known."""
+    try:
+        return envs.task(task).returns[1]
+    except InputError:  # a name of another version
+        return np.inf
+
+
 def algorithm_order(algorithms: Iterable[str]) -> list[str]:
     """Algorithms in the order of the paper's tables; those that it does not have, such as your own, behind, by name."""
     there = set(algorithms)

@@ -7,6 +7,7 @@ of seeds, as the paper's own marks can be.
 
 import json
 import re
+import types
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -28,13 +29,14 @@ TITLES = {
 LEGEND = """\
 In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours, or several that are printed
 alike. An asterisk: not significantly different from one of these. A small number: how many seeds, where there are not
-five; a single one has no interval. °: the maximum lies at step 0, before any training, and is the luck of random
-networks. †: another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its
-average is above its maximum. Difference: ours minus the paper's, in units of half the 95 % prediction interval of this
-difference, so that beyond 1 the two do not agree. For a single seed this interval has the spread of the paper's five
-seeds; with several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of
-five seeds: the best of 41 points picks its noise. So look at averages first."""
-SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+five; a single one has no interval. ⁺ and ⁻: more or fewer seeds than `benchmark/seeds.csv` plans for the row. °: the
+maximum lies at step 0, before any training, and is the luck of random networks. †: another budget than the paper's, and
+so no difference. ‡: a value of the paper that cannot be, since its average is above its maximum. Difference: ours minus
+the paper's, in units of half the 95 % prediction interval of this difference, so that beyond 1 the two do not agree.
+For a single seed this interval has the spread of the paper's five seeds; with several seeds, that of ours and theirs
+together. A maximum of one seed is too high, beside one of a mean of five seeds: the best of 41 points picks its noise.
+So look at averages first."""
+SUPERSCRIPTS = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
 
 
 def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2: float, seeds2: int) -> bool:
@@ -80,9 +82,12 @@ def impossible(paper: pd.DataFrame) -> pd.Series:
     return pd.Series(cells.isin(wrong) & paper["metric"].str.endswith("return"), index=paper.index)
 
 
-def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
-    """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference.
+def compare(
+    ours: pd.DataFrame, paper: pd.DataFrame, planned: Mapping[tuple[str, str], int] = types.MappingProxyType({})
+) -> pd.DataFrame:
+    """Our cells with mark, and beside them the paper's: paper_mean, paper_interval, impossible, difference, planned.
 
+    planned: how many seeds were planned, by task and sharing; as a column 0 where nothing was.
     difference: in units of `agreement.half_width`; NaN with another budget, and without a value of the paper that can
     be.
     """
@@ -94,7 +99,11 @@ def compare(ours: pd.DataFrame, paper: pd.DataFrame) -> pd.DataFrame:
     both["impossible"] = both["impossible"].eq(True)
     width = half_width(both["interval"], both["seeds"], both["paper_interval"])
     difference = ((both["mean"] - both["paper_mean"]) / width).round(9)
-    return both.assign(difference=difference.mask(both["other_budget"] | both["impossible"]))
+    rows = zip(both["task"], both["sharing"])
+    return both.assign(
+        difference=difference.mask(both["other_budget"] | both["impossible"]),
+        planned=[planned.get(row, 0) for row in rows],
+    )
 
 
 def number(mean: float, interval: float) -> str:
@@ -107,8 +116,9 @@ def number(mean: float, interval: float) -> str:
 
 def signs(cell: Any) -> str:
     """The legend's signs for a cell of ours, a space before them."""
-    seeds = "" if cell.seeds == PAPER_SEEDS else str(cell.seeds).translate(SUPERSCRIPTS)
-    found = seeds + "°" * cell.at_start + "†" * cell.other_budget
+    off = "" if cell.planned in (0, cell.seeds) else "+" if cell.seeds > cell.planned else "-"
+    seeds = f"{cell.seeds}{off}" if off or cell.seeds != PAPER_SEEDS else ""
+    found = seeds.translate(SUPERSCRIPTS) + "°" * cell.at_start + "†" * cell.other_budget
     return f" {found}" if found else ""
 
 

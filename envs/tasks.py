@@ -16,6 +16,7 @@ parsers.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,8 @@ from typing import Any
 from envs.families import OPPONENTS, PLACES_TRIED
 from envs.families.smaclite.maps import LITE_MAPS
 from envs.vector import InputError
+
+UNBOUNDED = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,8 @@ class Task:
     eval_points: the number of evaluations in a run, including the one before training.
     module, settings: the module whose `Env` plays the task, and keyword arguments for it.
     options: further keyword arguments that a user may give, as `env_kwargs`.
+    returns: between which bounds the team's return of an episode lies; infinite where the rules set none that is near
+        to what can be reached.
     """
 
     name: str
@@ -45,6 +50,7 @@ class Task:
     module: str = field(repr=False)
     settings: Mapping[str, Any] = field(repr=False, hash=False)
     options: tuple[str, ...] = ()
+    returns: tuple[float, float] = UNBOUNDED
 
 
 PAPER_TASKS = (
@@ -184,7 +190,9 @@ def parse_matrix(name: str) -> Task | None:
     penalty = None if match[1] is None else int(match[1])
     if penalty is not None and penalty > 2**24:
         raise InputError(f"{name}: the penalty is larger than 2^24, and 32-bit rewards are exact only up to there.")
-    return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", {"penalty": penalty})
+    returns = (-750.0, 275.0) if penalty is None else (-25.0 * penalty, 250.0)  # 25 times the least and the most
+    settings = {"penalty": penalty}
+    return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", settings, returns=returns)
 
 
 def parse_lbf(name: str) -> Task | None:
@@ -220,7 +228,7 @@ def parse_lbf(name: str) -> Task | None:
         "cooperative": match[6] is not None,
         "version": 3 if match[7] else 1,
     }
-    return Task(name, "lbf", 20_000_000, 2_000_000, 41, "envs.families.lbf", settings)
+    return Task(name, "lbf", 20_000_000, 2_000_000, 41, "envs.families.lbf", settings, returns=(0.0, 1.0))
 
 
 def room_for_foods(rows: int, columns: int, wanted: int) -> int:
@@ -274,7 +282,7 @@ def parse_rware(name: str) -> Task | None:
         "n_requests": n_requests,
         "sight": sight,
     }
-    return Task(name, "rware", 40_000_000, 4_000_000, 41, "envs.families.rware", settings)
+    return Task(name, "rware", 40_000_000, 4_000_000, 41, "envs.families.rware", settings, returns=(0.0, math.inf))
 
 
 def parse_mpe(name: str) -> Task | None:
@@ -292,7 +300,9 @@ def parse_mpe(name: str) -> Task | None:
     if selfplay:  # 25,000 episodes, in which the opponents were trained
         return Task(name, "mpe", 625_000, 625_000, 41, "envs.families.mpe", settings)
     options = ("opponent",) if match[3] else ()
-    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings, options)
+    bounds = {"adversary": UNBOUNDED, "tag": (0.0, math.inf)}  # the others' rewards are minus distances
+    returns = bounds.get(match[2] or match[3], (-math.inf, 0.0))
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings, options, returns)
 
 
 def parse_smac(name: str) -> Task | None:
@@ -300,12 +310,15 @@ def parse_smac(name: str) -> Task | None:
     match = re.fullmatch("(smaclite|smac)-([0-9A-Za-z_]+)(-sc2)?", name)
     if match is None or (match[1] == "smac" and match[3]):
         return None
+    returns = (0.0, math.inf)
     if match[1] == "smac":
-        return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.starcraft", {"map_name": match[2]})
+        settings = {"map_name": match[2]}
+        return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.starcraft", settings, returns=returns)
     if match[2] not in LITE_MAPS:
         return None
     settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
-    return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.smaclite.environment", settings)
+    module = "envs.families.smaclite.environment"
+    return Task(name, "smac", 40_000_000, 4_000_000, 41, module, settings, returns=returns)
 
 
 # Packages that the paper's tasks come from, and one of these tasks
@@ -327,7 +340,8 @@ def parse_foreign(name: str) -> Task | None:
     settings = {"interface": match[1], "target": match[2]}
     for package, known in KNOWN_PACKAGES.items():
         if re.search(rf"(?:^|[.:/])(?:{package})", match[2]):
-            return replace(task(known), name=name, module="envs.adapters.foreign", settings=settings)
+            found = task(known)
+            return replace(found, name=name, module="envs.adapters.foreign", settings=settings, returns=UNBOUNDED)
     return Task(name, "", *STEPS, "envs.adapters.foreign", settings)
 
 

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import t, ttest_ind
 
+import envs
 from benchmark import agreement, measures, report, store, tables
 
 
@@ -142,29 +143,70 @@ def test_a_shorter_run_against_the_papers_opponent_is_of_another_budget(tmp_path
     assert both["other_budget"].all() and both["difference"].isna().all() and (both["paper_task"] == "mpe-tag").all()
 
 
-def test_the_report_says_what_agrees():
-    made = report.Report(store.RESULTS)
-    said, table = made.agreement(), made.agreement_table()
-    others = made.counted[(made.counted["family"] != "matrix") & (made.counted["apart"] == "")]
-    averages = others[others["metric"] == "average_return"]
-    assert f"{averages['agrees'].sum()} of {len(averages)} average returns" in said
-    lines = [line.split(" | ") for line in table.splitlines() if line.startswith("| ")]
+def test_two_values_at_the_games_bound_are_not_counted():
+    """In LBF no return is above 1, in Spread no bound is reached, and a maximum below the bound could differ."""
+    rows = [
+        ("lbf-8x8-2p-2f-c", "ia2c", "max_return", 1.0, np.nan, 1, 1.0, 0.0),
+        ("lbf-8x8-2p-2f-c", "ippo", "max_return", 0.98, np.nan, 1, 1.0, 0.0),
+        ("lbf-8x8-2p-2f-c", "mappo", "max_return", 1.0, np.nan, 1, 1.0, 0.01),
+        ("mpe-spread", "ia2c", "max_return", -130.0, np.nan, 1, -130.0, 0.0),
+    ]
+    assert agreement.is_trivial(cells(*rows)).tolist() == [True, False, False, False]
+
+
+def test_all_results_and_the_papers_lie_within_the_games_bounds():
+    """As far as five decimals."""
+    ours, paper = store.load(), store.paper_cells()
+    paper = paper[paper["metric"].isin(agreement.METRICS)].rename(columns={"mean": "return_mean"})
+    for rows in (ours, paper):
+        for task, values in rows.groupby("task")["return_mean"]:
+            low, high = envs.task(task).returns
+            assert values.between(low - 1e-5, high + 1e-5).all(), task
+
+
+@pytest.fixture(scope="module")
+def committed():
+    return report.Report(store.RESULTS)
+
+
+def test_the_report_says_what_agrees(committed):
+    """With seed 0 alone, with the planned seeds, and with all: each counted here from the evaluations of all runs."""
+    said = committed.agreement()
+    rows = zip(committed.shown["task"], committed.shown["sharing"])
+    planned = committed.shown["seed"] < [committed.planned[row] for row in rows]
+    found = []
+    for chosen in (committed.shown["seed"] == 0, planned, committed.shown["seed"] >= 0):
+        rows = committed.shown[chosen].drop(columns="other_budget")
+        counted = agreement.counted(tables.compare(measures.our_cells(rows), store.paper_cells()))
+        counted = counted[counted["family"] != "matrix"]
+        own = counted[counted["apart"] == ""]
+        found.append((agreement.numbers(own["agrees"]), agreement.numbers(counted["agrees"])))
+    assert said.startswith(f"With seed 0 alone, {found[0][0]} of our average and maximum returns agree")
+    assert f"planned for its row, {found[1][0]} agree" in said
+    assert f"With all seeds {found[2][0]} agree. The last figure is too good" in said
+    assert f"with these two, {found[0][1]} agree with seed 0, and {found[2][1]} with all." in said
+
+
+def test_the_three_places_have_the_same_sentences(committed):
+    """README and RESULTS.md in their own text; the page gets the sentences from the report when it is built."""
+    said = report.fill(committed.agreement())
+    root = store.HERE.parent
+    assert said in (root / "README.md").read_text(encoding="utf-8")
+    assert " ".join(said.split()) in " ".join((root / "benchmark" / "RESULTS.md").read_text(encoding="utf-8").split())
+    assert "```{agreement}" in (root / "docs" / "paper-run-again.md").read_text(encoding="utf-8")
+
+
+def test_tables_by_family(committed):
+    lines = [line.split(" | ") for line in committed.agreement_table().splitlines() if line.startswith("| ")]
     [lbf] = [line for line in lines if line[0] == "| LBF, with parameter sharing"]
-    counted = made.counted[made.counted["family"] == "lbf"]
-    for column, metric in ((1, "average_return"), (3, "max_return")):
-        agrees = counted.loc[counted["metric"] == metric, "agrees"]
-        assert lbf[column] == f"{agrees.sum()} of {len(agrees)}"
-    assert "cells in which both intervals are printed as 0.00" in table
-
-
-def test_the_readme_counts_averages_by_family_and_by_seeds():
-    made = report.Report(store.RESULTS)
-    table, sentence = made.agreement_in_short()
-    averages = made.counted[made.counted["metric"] == "average_return"]
-    header, _, ours, others = ([cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines())
-    chosen = averages[averages["family"] == "rware"]
-    column = header.index("RWARE")
-    assert ours[column] == f"{chosen['agrees'].sum()} of {len(chosen)}"
+    for column, metric in ((1, "average_return"), (4, "max_return")):
+        for place, cells in ((column, committed.counted_first), (column + 1, committed.counted_planned)):
+            agrees = cells.loc[(cells["family"] == "lbf") & (cells["metric"] == metric), "agrees"]
+            assert lbf[place] == agreement.numbers(agrees)
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in committed.agreement_in_short().splitlines()]
+    header, _, first, planned, others = table
+    averages = committed.counted_planned[committed.counted_planned["metric"] == "average_return"]
+    chosen, column = averages[averages["family"] == "rware"], header.index("RWARE")
+    assert first[column] == next(line[1] for line in lines if line[0].startswith("| RWARE"))
+    assert planned[column] == agreement.numbers(chosen["agrees"])
     assert others[column] == agreement.percent(agreement.placebo(chosen)["agrees"])
-    single = averages[(averages["family"] != "matrix") & (averages["seeds"] == 1)]
-    assert f" 1: {single['agrees'].sum()} of {len(single)};" in sentence

@@ -530,6 +530,12 @@ def test_the_signs_of_cells():
     assert paper.split(" | ")[1] == "paper" and "195.00" not in paper and "175.00 ± 0.00" in paper
     many = compared(evaluations([[0, 1]] * 10))
     assert "1.00 ± 0.00** ¹⁰ |" in tables.markdown(many, "max_return", "shared")
+    for planned, sign in ((5, "²⁻°"), (2, "²°"), (1, "²⁺°")):
+        cells = measures.our_cells(few)
+        text = tables.markdown(
+            tables.compare(cells, store.paper_cells(), {("matrix-climbing", "shared"): planned}), "max_return", "shared"
+        )
+        assert f"9.00 ± 0.00** {sign} |" in text
     averages = tables.markdown(both, "average_return", "shared").splitlines()
     for lines in (averages, tables.markdown(both, "max_return", "shared").splitlines()):
         assert dict(zip(header.split(" | "), lines[4].split(" | ")))["IA2C"] == "-"  # another budget

@@ -7,6 +7,7 @@ only counts. Its flag --pace is how long a step takes.
 import contextlib
 import csv
 import importlib
+import itertools
 import json
 import os
 import pty
@@ -28,7 +29,7 @@ import pytest
 
 import envs
 from benchmark import campaign as campaigns
-from benchmark import plan, run, store, tables
+from benchmark import measures, plan, run, store, tables
 from envs.runs import is_whole
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -236,9 +237,8 @@ def folder_of(seed, name="ia2c-shared"):
 def make_plan(algorithms, tasks, sharings=("shared",), seeds=1, flags=(), grid=None):
     """The plan for words of the command line."""
     names = plan.script_names() if algorithms == "all" else algorithms.split()
-    return plan.make_plan(
-        names, plan.chosen_tasks(tasks.split()), list(sharings), seeds, tuple(flags), grid, Path("runs")
-    )
+    rows = dict.fromkeys(itertools.product(plan.chosen_tasks(tasks.split()), sharings), seeds)
+    return plan.make_plan(names, rows, tuple(flags), grid, Path("runs"))
 
 
 class TestPlan:
@@ -280,6 +280,7 @@ class TestPlan:
             (["--", "--eval-points", "1"], "--eval-points must be 2 or more"),
             (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
             (["--jobs", "0"], "must be positive"),
+            (["--plan", "nothing.csv"], "nothing.csv cannot be read"),
         ],
     )
     def test_wrong_input_is_named(self, monkeypatch, capsys, words, said):
@@ -339,6 +340,74 @@ class TestPlan:
         (algos / "helpers.py").write_text("def help():\n    pass\n")
         (algos / ".#mappo.py").symlink_to("nobody@nowhere.1")
         assert plan.script_names() == ["ia2c", "iql", "mappo"]
+
+
+class TestPlanOfSeeds:
+    def dry_run(self, monkeypatch, capsys, *words):
+        """The exit code, and the lines that it prints."""
+        monkeypatch.setattr(sys, "argv", ["run.py", "--algorithms", "ia2c", "--plan", "seeds.csv", "--dry-run", *words])
+        with pytest.raises(SystemExit) as end:
+            run.main()
+        said = capsys.readouterr()
+        return end.value.code, said.out.splitlines(), said.err
+
+    def test_each_row_gets_its_own_number(self, monkeypatch, capsys):
+        rows = ["matrix-climbing,shared,2", "matrix-climbing,independent,1", "lbf-5x5-2p-1f,shared,1"]
+        Path("seeds.csv").write_text("\n".join(["task,sharing,seeds", *rows]))
+        runs = [
+            "matrix-climbing ia2c-shared seed 0: new",
+            "matrix-climbing ia2c-independent seed 0: new",
+            "lbf-5x5-2p-1f ia2c-shared seed 0: new",
+            "matrix-climbing ia2c-shared seed 1: new",
+        ]
+        assert self.dry_run(monkeypatch, capsys)[:1] == (0,)
+        assert self.dry_run(monkeypatch, capsys)[1][:5] == [*runs, ""]
+        assert self.dry_run(monkeypatch, capsys, "--tasks", "matrix", "--sharing", "shared")[1][:3] == [
+            runs[0],
+            runs[3],
+            "",
+        ]
+        code, _, errors = self.dry_run(monkeypatch, capsys, "--tasks", "lbf", "--sharing", "independent")
+        assert code == 2 and "plans no seeds for these tasks" in errors
+
+    def test_a_row_of_the_papers_tables_means_its_opponent(self, monkeypatch, capsys):
+        Path("seeds.csv").write_text("task,sharing,seeds\nmpe-tag,shared,1\nmatrix-climbing,shared,1\n")
+        code, lines, _ = self.dry_run(monkeypatch, capsys)
+        assert code == 0 and lines[0].startswith("Left out: mpe-tag") and "matrix-climbing" in lines[1]
+        code, lines, errors = self.dry_run(monkeypatch, capsys, "--tasks", "mpe-tag")
+        assert code == 2 and "nothing of the plan is left" in errors
+        opponent = measures.paper_setting("mpe-tag")
+        monkeypatch.setattr(plan, "changed_flags", lambda args, default: opponent)
+        code, lines, _ = self.dry_run(monkeypatch, capsys, "--tasks", "mpe-tag")
+        assert code == 0 and lines[0].endswith("seed 0: new")
+
+    @pytest.mark.parametrize(
+        "text, said",
+        [
+            ("task,seeds\nmatrix-climbing,1\n", "its columns must be task, sharing, seeds"),
+            ("task,sharing,seeds\nmatrix-climbing,both,1\n", "each task and sharing"),
+            ("task,sharing,seeds\nmatrix-climbing,shared,some\n", "each task and sharing"),
+            ("task,sharing,seeds\n" + 2 * "matrix-climbing,shared,1\n", "each task and sharing"),
+            ("task,sharing,seeds\nmatrix-climbin,shared,1\n", "unknown task"),
+        ],
+    )
+    def test_a_plan_that_is_none(self, monkeypatch, capsys, text, said):
+        Path("seeds.csv").write_text(text)
+        code, _, errors = self.dry_run(monkeypatch, capsys)
+        assert code == 2 and said in errors
+
+    @pytest.mark.parametrize("words", [["--seeds", "3"], ["--grid", "grid.csv"]])
+    def test_it_says_itself_how_many(self, monkeypatch, capsys, words):
+        assert "goes with neither" in self.dry_run(monkeypatch, capsys, *words)[2]
+
+    def test_the_committed_plan_has_every_row_of_the_paper(self):
+        planned = plan.read_seeds(BENCHMARK / "seeds.csv")
+        assert planned.keys() == {*itertools.product(envs.tasks.PAPER_TASKS, store.SHARING.values())}
+        five = {task for (task, sharing), seeds in planned.items() if seeds == 5 and sharing == "shared"}
+        assert five == {
+            *(name for name in envs.tasks.PAPER_TASKS if name.startswith(("matrix", "rware"))),
+            *("mpe-speaker-listener", "mpe-tag", "lbf-15x15-3p-5f"),
+        }
 
 
 class TestRunning:
