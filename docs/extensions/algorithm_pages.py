@@ -30,6 +30,7 @@ EXAMPLES = {
 }
 SHARINGS = {"shared": "With parameter sharing", "independent": "Without parameter sharing"}
 SICK = "In the sick run"  # with these words begins what is said of it
+RUNS = pd.read_csv(DATA / "runs.csv", keep_default_na=False)  # recorded ones
 
 
 class Remarks:
@@ -41,6 +42,7 @@ class Remarks:
         self.title: str = front["title"]
         self.sibling: str | None = front.get("sibling")
         self.in_latex: dict[str, str] = front.get("latex", {})
+        self.facts = data_flow.Facts(**front.get("facts", {}))
         self.sections = split(body, "## ")
         self.remarks = split(self.sections.pop("Remarks"), "### ")
 
@@ -71,8 +73,7 @@ def page(name: str, text: str) -> str:
         raise ValueError(
             f"docs/algorithms/{name}.md remarks on {', '.join(wrong)}, which algos/{name}.py does not show"
         )
-    healthy, _, sick = remarks.sections["What to look at"].partition(SICK)
-    parts = [f"---\nhide-toc: true\n---\n\n# {remarks.title}", facts(known), idea(known, remarks)]
+    parts = [f"---\nhide-toc: true\n---\n\n# {remarks.title}", facts(known, remarks.facts), idea(known, remarks)]
     if remarks.sibling:
         parts += ["## Where it stands among its siblings", remarks.sections["What the diff teaches"]]
         parts.append(fence("script-diff", f"{remarks.sibling} {name}"))
@@ -85,8 +86,12 @@ def page(name: str, text: str) -> str:
         parts.append(shown(known, part, remarks.of(part)))
     parts += ["## Details that matter", remarks.sections["Details that matter"]]
     parts += ["## Hyperparameters", hyperparameters(known)]
-    parts += ["## What to look at in TensorBoard", fence("recorded-run", f"{name} healthy"), healthy]
-    parts += [fence("recorded-run", f"{name} sick"), SICK + sick]
+    parts += ["## What to look at in TensorBoard"]
+    if name in {*RUNS["algorithm"]}:
+        healthy, _, sick = remarks.sections["What to look at"].partition(SICK)
+        parts += [fence("recorded-run", f"{name} healthy"), healthy, fence("recorded-run", f"{name} sick"), SICK + sick]
+    else:
+        parts.append(remarks.sections["What to look at"])
     parts += ["## Learning curves", CURVES]
     measured = results_data.seeds()
     for sharing, title in SHARINGS.items():
@@ -108,9 +113,9 @@ def fence(directive: str, argument: str, content: str = "") -> str:
     return f"::::::{{{directive}}} {argument}\n{content}\n::::::"
 
 
-def facts(known: script.Script) -> str:
+def facts(known: script.Script, own: data_flow.Facts) -> str:
     """The box at the head of a page: where the algorithm stands, and one command with what it costs and brings."""
-    own, name = known.facts, known.name
+    name = known.name
     if own.replay:
         learns = "off-policy: from a replay of old episodes, one gradient step after each new one"
         acts = "drawn from its policy" if own.critic else "its best by value, or with probability epsilon any"
@@ -193,10 +198,10 @@ def hyperparameters(known: script.Script) -> str:
     """The paper's hyperparameters as tables in Markdown, a row for each flag."""
     paper, names = known.literal("PAPER"), known.literal("PAPER_FLAGS").split()
     families = [family for family in FAMILY_TITLES if (family, "shared") in paper]
+    chosen = "They are what the search of [the benchmark paper](https://arxiv.org/abs/2006.07869) chose. "
     parts = [
-        "These are the defaults for each family of tasks. They are what the search of "
-        "[the benchmark paper](https://arxiv.org/abs/2006.07869) chose. All other flags are the same everywhere: "
-        f"`python algos/{known.name}.py --help` lists them."
+        f"These are the defaults for each family of tasks. {chosen if known.name in script.NINE else ''}"
+        f"All other flags are the same everywhere: `python algos/{known.name}.py --help` lists them."
     ]
     for sharing, title in SHARINGS.items():
         head = [title, *(FAMILY_TITLES[family] for family in families), "what it is"]
@@ -216,7 +221,8 @@ class DataFlow(SphinxDirective):
     final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
-        drawn = "".join(data_flow.picture(script.read(name)) for name in self.arguments[0].split())
+        names = self.arguments[0].split()
+        drawn = "".join(data_flow.picture(name, read_remarks(name).facts) for name in names)
         return [nodes.raw("", f'<div class="flows">{drawn}</div>', format="html")]
 
 
@@ -262,8 +268,7 @@ class RecordedRun(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         algorithm, health = self.arguments
         title = f"A {health} run"
-        runs = pd.read_csv(DATA / "runs.csv", keep_default_na=False)
-        run = runs[(runs["algorithm"] == algorithm) & (runs["health"] == health)].iloc[0]
+        run = RUNS[(RUNS["algorithm"] == algorithm) & (RUNS["health"] == health)].iloc[0]
         file = DATA / f"{algorithm}-{health}.csv"
         for source in (DATA / "runs.csv", file):
             self.env.note_dependency(str(source))

@@ -1,6 +1,6 @@
-"""A picture of an algorithm, drawn from the facts of its script: who sees what in training, and who in play."""
+"""A picture of an algorithm, drawn from what its page says of it: who sees what in training, and who in play."""
 
-import script
+from typing import NamedTuple
 
 INPUTS = {
     "the agent's observation": ["oᵢ"],
@@ -15,6 +15,20 @@ ARROW = (
 )
 
 
+class Facts(NamedTuple):
+    """Where an algorithm stands, as the front matter of its page says.
+
+    replay: whether it learns from old episodes. critic: what its critic sees beside one agent's own number, one of
+    INPUTS, or "". mixed: how the agents' values become one, one of MIXED. epochs: whether several gradient steps are
+    made on one batch.
+    """
+
+    replay: bool = False
+    critic: str = ""
+    mixed: str = ""
+    epochs: bool = False
+
+
 def box(x: int, y: int, width: int, text: str, kind: str) -> str:
     """A box with text; x, y: the middle of its left side."""
     return (
@@ -23,9 +37,8 @@ def box(x: int, y: int, width: int, text: str, kind: str) -> str:
     )
 
 
-def picture(known: script.Script) -> str:
+def picture(name: str, own: Facts) -> str:
     """The picture as SVG; site.css colours it."""
-    own, name = known.facts, known.name
     if own.critic:
         inputs, above = INPUTS[own.critic], "critic Qᵢ" if "action" in own.critic else "critic Vᵢ"
         actor, down = "policy πᵢ", "gradient" if own.replay else "advantage"

@@ -1,4 +1,4 @@
-"""A script of algos/ as its page shows it: docstring, sections from networks to train, functions, flags, facts."""
+"""A script of algos/ as its page shows it: docstring, sections from networks to train, functions, flags."""
 
 import ast
 import io
@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-ALGORITHMS = ("ia2c", "ippo", "maa2c", "mappo", "coma", "iql", "vdn", "qmix", "maddpg")  # in the order of reading
+NINE = ("ia2c", "ippo", "maa2c", "mappo", "coma", "iql", "vdn", "qmix", "maddpg")  # in the order of reading
+PAGES = {path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md")}
+NEW = sorted(path.stem for path in (ROOT / "algos").glob("*.py") if path.stem in PAGES.difference(NINE))
+ALGORITHMS = (*NINE, *NEW)  # those that have a page
 SECTION = re.compile(r"# --- (.*?) ---$")
 LAST_SECTION = "train"
 
@@ -24,21 +27,8 @@ class Part(NamedTuple):
     last: int
 
 
-class Facts(NamedTuple):
-    """Where an algorithm stands, as its script's text shows it.
-
-    replay: whether it learns from old episodes. critic: what its critic sees beside one agent's own number, or "".
-    mixed: how the agents' values become one, or "". epochs: whether several gradient steps are made on one batch.
-    """
-
-    replay: bool
-    critic: str
-    mixed: str
-    epochs: bool
-
-
 class Script:
-    """One of the nine. Lines are counted from 1."""
+    """A script. Lines are counted from 1."""
 
     def __init__(self, name: str, source: str | None = None):
         self.name = name
@@ -131,24 +121,6 @@ class Script:
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.value:
                 found[field.target.id] = ast.unparse(field.value), comments.get(field.end_lineno or 0, "")
         return found
-
-    @cached_property
-    def facts(self) -> Facts:
-        """What `update` and `train` do with states, actions and values. ValueError where the text says neither."""
-        update, train = (self.text(*self.names[name]) for name in ("update", "train"))
-        critic = ""
-        if "critic" in train:
-            seen = re.search(r"critic_inputs = .*?(observations|states)", update)
-            if "with_joint_actions(" in update:
-                critic = "the state and all actions"
-            elif "counterfactual_inputs(" in update:
-                critic = "the state and the others' actions"
-            elif seen:
-                critic = {"observations": "the agent's observation", "states": "the state"}[seen[1]]
-            else:
-                raise ValueError(f"algos/{self.name}.py does not say what its critic sees")
-        mixed = "a mixing network" if "Mixer(" in train else "a sum" if "values.sum(" in update else ""
-        return Facts("Replay(" in train, critic, mixed, "for epoch in" in update)
 
 
 @lru_cache
