@@ -1,6 +1,6 @@
 """The grammar of task names, and what the paper says of each task.
 
-    matrix-climbing  matrix-penalty-<k>
+    matrix-climbing  matrix-penalty-<k>                and those that are added to `MATRIX_GAMES`
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
@@ -182,16 +182,24 @@ def names_here(name: str) -> list[str]:
 NUMBER = "(0|[1-9][0-9]{0,15})"
 
 
+# The matrix games, as many rows as columns; agent 0 chooses the row. The penalty games are made by `parse_matrix`.
+MATRIX_GAMES = {"climbing": ((11, -30, 0), (-30, 7, 0), (0, 6, 5))}
+
+
 def parse_matrix(name: str) -> Task | None:
-    """The climbing game, or the penalty game with the penalty -k for any whole number k."""
-    match = re.fullmatch(f"matrix-(?:climbing|penalty-{NUMBER})", name)
+    """A game of MATRIX_GAMES, or the penalty game with the penalty -k for any whole number k."""
+    match = re.fullmatch(f"matrix-(?:({'|'.join(MATRIX_GAMES)})|penalty-{NUMBER})", name)
     if match is None:
         return None
-    penalty = None if match[1] is None else int(match[1])
-    if penalty is not None and penalty > 2**24:
-        raise InputError(f"{name}: the penalty is larger than 2^24, and 32-bit rewards are exact only up to there.")
-    returns = (-750.0, 275.0) if penalty is None else (-25.0 * penalty, 250.0)  # 25 times the least and the most
-    settings = {"penalty": penalty}
+    if match[1]:
+        payoffs = MATRIX_GAMES[match[1]]
+    else:
+        k = int(match[2])
+        if k > 2**24:
+            raise InputError(f"{name}: the penalty is larger than 2^24, and 32-bit rewards are exact only up to there.")
+        payoffs = ((-k, 0, 10), (0, 2, 0), (10, 0, -k))
+    returns = 25.0 * min(map(min, payoffs)), 25.0 * max(map(max, payoffs))
+    settings = {"payoffs": payoffs}
     return Task(name, "matrix", 2_500_000, 250_000, 101, "envs.families.matrix", settings, returns=returns)
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scripts import near
 
 import envs
+from envs import tasks
+from envs.pictures import matrix as pictures
 
 CLIMBING = [[11, -30, 0], [-30, 7, 0], [0, 6, 5]]
 
@@ -28,3 +31,16 @@ def test_payoffs_and_ends(k: int | None) -> None:
             np.testing.assert_array_equal(info["agent_rewards"], np.array(payoff).reshape(9, 1).repeat(2, axis=1))
             assert not terminated.any() and (truncated == (step == 25)).all()
         assert total.max() == (275 if k is None else 250)
+
+
+def test_a_new_game_is_its_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any number of actions; a picture comes with it, and bounds of the return."""
+    monkeypatch.setitem(tasks.MATRIX_GAMES, "four", tuple(tuple(range(row, row + 4)) for row in (0, -5, 8, 4)))
+    env = envs.make("matrix-four", 16)
+    env.reset()
+    joint = np.array([(row, column) for row in range(4) for column in range(4)])
+    _, rewards, *_ = env.step(joint)
+    assert rewards.tolist() == [*range(0, 4), *range(-5, -1), *range(8, 12), *range(4, 8)]
+    assert envs.task("matrix-four").returns == (-125, 275) and envs.task("matrix-four").family == "matrix"
+    shown, smaller = env.frame(15), envs.make("matrix-climbing").frame()
+    assert near(shown, pictures.LIT) > 2000 and shown.shape[0] > smaller.shape[0]  # the last row and column

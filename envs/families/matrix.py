@@ -28,7 +28,6 @@ from envs import vector
 from envs.families.kernels import compiled, forbidden_action
 
 EPISODE_LIMIT = 25
-CLIMBING = ((11, -30, 0), (-30, 7, 0), (0, 6, 5))
 
 
 class State(NamedTuple):
@@ -76,18 +75,18 @@ def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, acti
 class Env(vector.VectorEnv):
     """Matrix games; see the module's docstring."""
 
-    def __init__(self, name: str, num_envs: int, seed: int, copy: bool, penalty: int | None) -> None:
-        """penalty: the k of the penalty game, or None for climbing."""
+    def __init__(self, name: str, num_envs: int, seed: int, copy: bool, payoffs: tuple[tuple[float, ...], ...]) -> None:
+        """payoffs: the table, as many rows as columns."""
+        size, steps = len(payoffs), EPISODE_LIMIT
         super().__init__(
-            name, num_envs, seed, copy, n_agents=2, n_actions=3, obs_size=2, episode_limit=EPISODE_LIMIT, low=0, high=0
+            name, num_envs, seed, copy, n_agents=2, n_actions=size, obs_size=2, episode_limit=steps, low=0, high=0
         )
-        matrix = CLIMBING if penalty is None else ((-penalty, 0, 10), (0, 2, 0), (10, 0, -penalty))
-        self.matrix = matrix
+        self.payoffs = payoffs
         self.steps = np.zeros(num_envs, np.int64)
         self.chosen = np.full((num_envs, 2), -1)  # the last joint action, for pictures; -1: none yet
         self.scores = np.zeros(num_envs)  # the returns so far
         self._arrays = (self.steps, self.agent_rewards, self.truncated)
-        self._step_arrays = (*self._arrays, self.rewards, self.action_mask, np.array(matrix, np.float32))
+        self._step_arrays = (*self._arrays, self.rewards, self.action_mask, np.array(payoffs, np.float32))
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`; there is nothing random in these games."""
