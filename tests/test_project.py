@@ -34,6 +34,13 @@ def test_a_tag_that_is_not_the_version_makes_no_release(tag):
     assert done.returncode == 1 and "but pyproject.toml says" in done.stderr and not done.stdout
 
 
+def test_programs_that_tests_start_import_this_checkout(tmp_path):
+    """Whatever is installed, and wherever they are started."""
+    program = "import benchmark, envs; print(benchmark.__file__, envs.__file__, sep='\\n')"
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.split("\n")[:2] == [str(ROOT / folder / "__init__.py") for folder in ("benchmark", "envs")]
+
+
 def test_the_page_names_what_envs_has():
     row = next(
         line for line in (ROOT / "docs/how-to/what-is-public.md").read_text().splitlines() if "`envs.__all__`" in line
