@@ -3,11 +3,13 @@ benchmark/paper/claims.csv.
 
     place        the section
     sentence     what the paper says; in brackets how it is read here
-    tasks        sets (`SETS`) and tasks; with a minus without them; "families ..." goes family by family
+    tasks        sets (`SETS`) and tasks; with a minus without them; "families ..." goes family by family, "pairs ..."
+                 algorithm by algorithm on each task
     needed       on how many of them the expression must hold: all, majority (more than half), three quarters or a
-                 number; "code" where the last column names a function of this module
+                 number
     metric       what an algorithm's name stands for, such as max_return; with parameter sharing
-    expression   comparisons, arithmetic, and, or, not, if, and these names and functions (`Scope`)
+    expression   comparisons, arithmetic, and, or, not, if, max, min, abs, and these names and functions; there is
+                 nothing else that it can say (`compiled`)
 
     iql, ia2c, ...                    the algorithm's value; in a family the mean of its scaled values
     best                              the highest value of the nine
@@ -22,37 +24,41 @@ benchmark/paper/claims.csv.
     matches_best(a)                   the best, or not significantly different from it
     competitive_tasks(a)              on how many tasks of the family it is competitive
     improved                          how many algorithms are higher with parameter sharing than without
+    significantly_improved            whether the pair's algorithm is, and significantly so
     shared, alone                     the mean scaled value with and without sharing, in a task or in all of a family
     gain, gain_in(lbf)                shared less alone, here or in another set
     apart(a, b), apart(a, b, mpe)     how far they are apart on the scale, the mean over the family or another set
 
-"Significantly" is a two-sided Student t-test at 0.05, as the paper's asterisks. It needs two seeds, and where it finds
-no difference, five: fewer could only mean that there are too few. A maximum that lies before training is the luck of
-random networks; the average over training takes its place.
+"Significantly" is a two-sided Student t-test at 0.05, as the paper's asterisks. Returns that differ by no more than
+0.1 % of the most that the game can give are ties. A maximum that lies before training is the luck of random networks;
+the average over training takes its place.
 
-The verdict is holds, does not hold or not measured: decided as soon as what is missing cannot change it. Then each cell
-with fewer than five seeds is completed to five, `DRAWS` times: the mean of all seeds is drawn from what our seeds say
-of it, and the missing seeds around it, with the standard deviation that `agreement.spread` has. If more than one of
-twenty of these tables gives another verdict, it is too close to call.
+The verdict. Each cell with fewer than five seeds is completed to five, `DRAWS` times: the mean of all seeds is drawn
+from what our seeds say of it, and the missing seeds around it, with the standard deviation that `agreement.spread` has,
+and none beyond the bounds of what the game can return. The claim holds, or does not, if it does so in 95 % of these
+tables, and by more than twice the standard error of this share. Else it is too close to call; or not measured, if cells
+that do not exist could still decide it.
 
 The same expressions judge the paper's own tables, since not every sentence agrees with them.
 """
 
 import ast
 import csv
+import functools
 import math
+import operator
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from types import CodeType
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import t
 
-from benchmark.agreement import spread
+import envs
+from benchmark.agreement import LEVEL, METRICS, spread
 from benchmark.store import (
     ALGORITHMS,
     INDEPENDENT,
@@ -61,14 +67,16 @@ from benchmark.store import (
     PAPER_SEEDS,
     SHARED,
     SHARING,
+    best_return,
     family,
     paper_cells,
 )
-from benchmark.tables import same_mean
+from envs import InputError
 
 HOLDS, FAILS, CLOSE, UNKNOWN = "holds", "does not hold", "too close to call", "not measured"
-DRAWS = 1000
-TURNED = 0.05  # in more than this share of the draws: too close to call
+DRAWS = 12_000  # so that twice the standard error of a share is below 1 %
+SURE = 0.95
+TIE = 0.001  # of the most that the game can return
 MOST_SHOWN = 4
 
 TASKS = tuple(dict.fromkeys(paper_cells()["task"]))
@@ -88,220 +96,337 @@ UNTRAINED = {("max_return", SHARED, "matrix-climbing", name) for name in ("iql",
 }
 
 Key = tuple[str, str, str, str]  # metric, sharing, the paper's task, algorithm
+Hours = dict[tuple[str, str, str], float]  # of a run, by sharing, the paper's task and algorithm
+Array = NDArray[Any]  # [draw] unless it says more
 
 
-class NotMeasured(Exception):
-    """A claim needs a result that is not there."""
-
-
+# --- what claims look at ---
 class Cell(NamedTuple):
-    """A value of a table, with its interval of 2 s / sqrt(n) and the number of seeds n."""
+    """A value of a table, with its interval of 2 s / sqrt(n) and the number of seeds n; in each of some tables."""
 
-    value: float
-    interval: float
+    value: Array
+    interval: Array
     seeds: int
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """holds, does not hold, too close to call or not measured, and what is behind it.
+class View:
+    """The cells of a set of results in one or more tables, as claims look at them.
 
-    outcomes: by task or family, whether the expression holds there; None where it is not measured.
-    rests_on: the cells that carry it, and what one seed more of each would cost; empty where all have five seeds.
+    games: for each of the paper's tasks the game that the cells are of: itself, or one that stands in for it.
+    ties: whether values that lie close together are ties.
     """
 
-    verdict: str
-    figures: str
-    outcomes: dict[str, bool | None] = field(default_factory=dict)
-    rests_on: str = ""
-
-
-# --- what claims look at ---
-def one_game(cells: pd.DataFrame) -> pd.DataFrame:
-    """The cells of one game for each of the paper's tasks, so that no comparison mixes two: of that which more
-    algorithms were run on, the paper's own or the one that stands in for it; the paper's own, where it is the same."""
-    games = cells.groupby(["metric", "sharing", "paper_task", "task"])["algorithm"].nunique().reset_index(name="number")
-    games["own"] = games["task"] == games["paper_task"]
-    chosen = games.sort_values(["number", "own"]).groupby(["metric", "sharing", "paper_task"]).tail(1)
-    return cells.merge(chosen[["metric", "sharing", "paper_task", "task"]])
-
-
-@dataclass(frozen=True)
-class View:
-    """The cells of a set of results, as claims look at them."""
-
     cells: dict[Key, Cell]
+    games: dict[str, str]
+    draws: int = 1
+    ties: bool = True
 
     @classmethod
     def of(cls, cells: pd.DataFrame) -> "View":
-        """Cells in the form of `measures.our_cells` or `store.paper_cells`."""
+        """Cells in the form of `measures.our_cells` or `store.paper_cells`, in one table as they are."""
         if "paper_task" not in cells:
             keys = pd.MultiIndex.from_frame(cells[["metric", "sharing", "task", "algorithm"]])
             cells = cells.assign(paper_task=cells["task"], other_budget=False, at_start=keys.isin(UNTRAINED))
         rows = one_game(cells[~cells["other_budget"]])
         keys = [*rows[["metric", "sharing", "paper_task", "algorithm"]].itertuples(index=False, name=None)]
-        found = dict(zip(keys, map(Cell, rows["mean"], rows["interval"], rows["seeds"])))
+        values, intervals = (rows[name].to_numpy(float)[:, None] for name in ("mean", "interval"))
+        found = dict(zip(keys, map(Cell, values, intervals, rows["seeds"])))
         untrained = [key for key, at_start in zip(keys, rows["at_start"]) if at_start and key[0] == "max_return"]
-        return cls(found | {key: found["average_return", *key[1:]] for key in untrained})
+        games = dict(zip(rows["paper_task"], rows["task"]))
+        return cls(found | {key: found["average_return", *key[1:]] for key in untrained}, games)
 
-    def cell(self, metric: str, sharing: str, task: str, algorithm: str) -> Cell:
-        """One cell. Raises NotMeasured."""
-        try:
-            return self.cells[metric, sharing, task, algorithm]
-        except KeyError:
-            raise NotMeasured from None
+    def without_stand_ins(self) -> "View":
+        """Without the cells of games that stand in for the paper's."""
+        return replace(self, cells={key: cell for key, cell in self.cells.items() if self.games[key[2]] == key[2]})
 
-    def values(self, metric: str, sharing: str, task: str) -> dict[str, float]:
-        """All nine algorithms' values. Raises NotMeasured."""
-        return {name: self.cell(metric, sharing, task, name).value for name in ALGORITHMS}
+    def cell(self, key: Key) -> Cell:
+        """A cell; one of NaN where there is none."""
+        value, interval, seeds = self.cells.get(key, (np.full(1, np.nan), np.full(1, np.nan), PAPER_SEEDS))
+        return Cell(np.broadcast_to(value, self.draws), np.broadcast_to(interval, self.draws), seeds)
+
+    def tie(self, task: str) -> float:
+        """How far two returns may differ and be a tie; 0 in a family."""
+        best = np.inf if task in PAPER_FAMILIES else best_return(task)
+        return TIE * abs(best) if self.ties and np.isfinite(best) else 0.0
 
 
-def position(value: float, values: Iterable[float]) -> float:
-    """A value on a scale from the lowest to the highest of these; 1 where all are equal."""
-    low, high = min(values), max(values)
-    return (value - low) / (high - low) if high > low else 1.0
+def one_game(cells: pd.DataFrame) -> pd.DataFrame:
+    """The cells of one game for each of the paper's tasks, so that no comparison mixes two: of that which more
+    algorithms were run on, the paper's own or the one that stands in for it; the paper's own, where it is the same."""
+    games = cells.groupby(["paper_task", "task"])["algorithm"].nunique().reset_index(name="number")
+    games["own"] = games["task"] == games["paper_task"]
+    chosen = games.sort_values(["number", "own"]).groupby("paper_task").tail(1)
+    return cells.merge(chosen[["paper_task", "task"]])
+
+
+def completed(view: View, paper: View) -> View:
+    """`DRAWS` tables in which each cell that the paper has, too, has at least five seeds."""
+    cells: dict[Key, Cell] = {}
+    for key, (value, interval, seeds) in view.cells.items():
+        missing = PAPER_SEEDS - seeds
+        if missing <= 0 or key not in paper.cells or key[0] not in METRICS:
+            continue
+        rng = np.random.default_rng(list("/".join(key).encode()))  # new results elsewhere change nothing here
+        deviation = float(spread(interval, seeds, paper.cells[key].interval)[0])
+        mean = rng.normal(value, deviation / np.sqrt(seeds), DRAWS)
+        drawn = rng.normal(mean, deviation, (missing, DRAWS)).clip(*envs.task(key[2]).returns)
+        theirs = drawn.mean(axis=0)
+        whole = (seeds * value + missing * theirs) / PAPER_SEEDS
+        squares = ((drawn - theirs) ** 2).sum(axis=0) + seeds * missing / PAPER_SEEDS * (value - theirs) ** 2
+        if seeds > 1:
+            squares += (seeds - 1) * (interval * np.sqrt(seeds) / 2) ** 2
+        cells[key] = Cell(whole, 2 * np.sqrt(squares / (PAPER_SEEDS - 1) / PAPER_SEEDS), PAPER_SEEDS)
+    return replace(view, cells=view.cells | cells, draws=DRAWS)
+
+
+@functools.cache
+def critical(freedom: int) -> float:
+    """Of Student's t, two-sided."""
+    return float(t.ppf(1 - LEVEL / 2, freedom))
+
+
+def position(value: Array, low: Array, high: Array, tie: float) -> Array:
+    """A value on a scale from the lowest to the highest of some values; 1 where these are ties."""
+    flat = high - low <= tie
+    return np.where(flat, 1.0, (value - low) / np.where(flat, 1.0, high - low))
 
 
 @dataclass(frozen=True)
 class Scope:
-    """What the names and functions of an expression mean in one task, or in one family."""
+    """What the names and functions of an expression mean in one task, in one family, or for one algorithm on one task.
+
+    asked: the cells that were looked at.
+    """
 
     view: View
     place: str
     metric: str
+    algorithm: str = ""
+    asked: set[Key] = field(default_factory=set)
 
     def at(self, task: str) -> "Scope":
         """The scope of one of its tasks."""
-        return Scope(self.view, task, self.metric)
+        return replace(self, place=task)
 
-    def cell(self, algorithm: str) -> Cell:
+    def tasks(self) -> tuple[str, ...]:
+        """The family's, or the one task."""
+        return SETS.get(self.place, (self.place,))
+
+    @property
+    def tie(self) -> float:
+        return self.view.tie(self.place)
+
+    def cell(self, algorithm: str, sharing: str = SHARED) -> Cell:
         """An algorithm's cell."""
-        return self.view.cell(self.metric, SHARED, self.place, algorithm)
+        key = self.metric, sharing, self.place, algorithm
+        self.asked.add(key)
+        return self.view.cell(key)
 
-    def values(self) -> dict[str, float]:
-        """All nine algorithms' values."""
-        return self.view.values(self.metric, SHARED, self.place)
+    def values(self, names: Iterable[str] = ALGORITHMS, sharing: str = SHARED) -> Array:
+        """Algorithms' values, [algorithm, draw]."""
+        return np.stack([self.cell(name, sharing).value for name in names])
 
-    def value(self, algorithm: str) -> float:
+    def value(self, algorithm: str) -> Array:
         """An algorithm's value; in a family the mean of its scaled values."""
         if self.place not in PAPER_FAMILIES:
             return self.cell(algorithm).value
-        return float(np.mean([self.at(task).scaled(algorithm) for task in SETS[self.place]]))
+        return np.mean([self.at(task).scaled(algorithm) for task in self.tasks()], axis=0)
 
-    def __getitem__(self, name: str) -> Any:
-        """What a name of an expression stands for."""
-        if name in ALGORITHMS:
-            return self.value(name)
-        if name in SETS:
-            return self.place == name or self.place in SETS[name]
-        return OF_NUMBERS[name] if name in OF_NUMBERS else getattr(self, name)
+    def different(self, one: Cell, two: Cell) -> Array:
+        """Whether two cells are significantly different, and no tie."""
+        distance, freedom = np.abs(one.value - two.value), one.seeds + two.seeds - 2
+        squares = sum((cell.seeds - 1) * cell.seeds * (cell.interval / 2) ** 2 for cell in (one, two))
+        error = np.sqrt(squares / freedom * (1 / one.seeds + 1 / two.seeds))
+        return (distance > critical(freedom) * error) & (distance > max(self.tie, 1e-9))
+
+    def like_the_highest(self, algorithm: str, names: tuple[str, ...]) -> Array:
+        """Whether it is not significantly different from the highest of these."""
+        own = self.cell(algorithm)
+        different = np.stack([self.different(own, self.cell(name)) for name in names])
+        highest = self.values(names).argmax(axis=0)
+        return ~np.take_along_axis(different, highest[None], axis=0)[0]
+
+    def sharing_means(self) -> Array:
+        """[sharing, draw]: the means of the normalised values with and without sharing; normalised over both. Tasks on
+        which all values are ties do not count; where there are no others, both means are 0."""
+        total, number = np.zeros((2, self.view.draws)), np.zeros(self.view.draws)
+        for scope in map(self.at, self.tasks()):
+            values = np.stack([scope.values(sharing=sharing) for sharing in SHARING.values()])
+            low, high = values.min(axis=(0, 1)), values.max(axis=(0, 1))
+            counts = ~(high - low <= scope.tie)
+            total += np.where(counts, position(values, low, high, scope.tie).mean(axis=1), 0.0)
+            number += counts
+        return total / np.maximum(number, 1)
 
     # --- names and functions, as the head of this module defines them ---
-    @property
-    def best(self) -> float:
-        return max(self.values().values())
+    def best(self) -> Array:
+        return self.values().max(axis=0)
 
-    @property
-    def improved(self) -> int:
-        pairs = [
-            [self.view.cell(self.metric, sharing, self.place, name).value for sharing in SHARING.values()]
-            for name in ALGORITHMS
-        ]
-        return sum(with_sharing > without for with_sharing, without in pairs)
+    def improved(self) -> Array:
+        return (self.values() > self.values(sharing=INDEPENDENT) + self.tie).sum(axis=0)
 
-    @property
-    def shared(self) -> float:
-        return means_with_and_without(self.view, SETS.get(self.place, (self.place,)))[0]
+    def significantly_improved(self) -> Array:
+        one, two = self.cell(self.algorithm), self.cell(self.algorithm, INDEPENDENT)
+        return (one.value > two.value) & self.different(one, two)
 
-    @property
-    def alone(self) -> float:
-        return means_with_and_without(self.view, SETS.get(self.place, (self.place,)))[1]
+    def shared(self) -> Array:
+        return self.sharing_means()[0]
 
-    @property
-    def gain(self) -> float:
-        return self.shared - self.alone
+    def alone(self) -> Array:
+        return self.sharing_means()[1]
 
-    def gain_in(self, place: str) -> float:
-        return self.at(place).gain
+    def gain(self) -> Array:
+        return np.subtract(*self.sharing_means())
 
-    def apart(self, algorithm: str, other: str, place: str = "") -> float:
+    def gain_in(self, place: str) -> Array:
+        return self.at(place).gain()
+
+    def apart(self, algorithm: str, other: str, place: str = "") -> Array:
         scopes = [self.at(task) for task in SETS[place or self.place]]
-        return float(np.mean([abs(scope.scaled(algorithm) - scope.scaled(other)) for scope in scopes]))
+        return np.mean([np.abs(scope.scaled(algorithm) - scope.scaled(other)) for scope in scopes], axis=0)
 
-    def scaled(self, algorithm: str) -> float:
-        return position(self.cell(algorithm).value, self.values().values())
+    def scaled(self, algorithm: str) -> Array:
+        values = self.values()
+        return position(self.cell(algorithm).value, values.min(axis=0), values.max(axis=0), self.tie)
 
-    def lower(self, algorithm: str) -> int:
-        own = self.cell(algorithm).value
-        return sum(value < own for value in self.values().values())
+    def lower(self, algorithm: str) -> Array:
+        return (self.values() < self.cell(algorithm).value - self.tie).sum(axis=0)
 
-    def competitive(self, algorithm: str, *others: str) -> bool:
-        own, values = self.cell(algorithm), self.values()
-        if others:
-            values = {name: value for name, value in values.items() if name in (algorithm, *others)}
-        highest = max(values, key=lambda name: values[name])
-        near = own.value >= values[highest] - 0.01 * abs(values[highest])
-        if near or position(own.value, values.values()) >= 0.8:
-            return True
-        return self.different(own, self.cell(highest)) is False
+    def competitive(self, algorithm: str, *others: str) -> Array:
+        names = (algorithm, *others) if others else ALGORITHMS
+        own, values = self.cell(algorithm).value, self.values(names)
+        low, high = values.min(axis=0), values.max(axis=0)
+        near = own >= high - np.maximum(0.01 * np.abs(high), self.tie)
+        return near | (position(own, low, high, self.tie) >= 0.8) | self.like_the_highest(algorithm, names)
 
-    def similar(self, algorithm: str, other: str) -> bool:
-        if abs(self.scaled(algorithm) - self.scaled(other)) < 0.1:
-            return True
-        return not self.decided(self.cell(algorithm), self.cell(other))
+    def similar(self, algorithm: str, other: str) -> Array:
+        near = np.abs(self.scaled(algorithm) - self.scaled(other)) < 0.1
+        return near | ~self.different(self.cell(algorithm), self.cell(other))
 
-    def significantly_above(self, algorithm: str, *others: str) -> bool:
-        own = self.cell(algorithm)
-        return all(own.value > self.cell(other).value and self.decided(own, self.cell(other)) for other in others)
+    def significantly_above(self, algorithm: str, *others: str) -> Array:
+        own, cells = self.cell(algorithm), map(self.cell, others)
+        return np.all([(own.value > cell.value) & self.different(own, cell) for cell in cells], axis=0)
 
-    def matches_best(self, algorithm: str) -> bool:
-        own, values = self.cell(algorithm), self.values()
-        highest = max(values, key=lambda name: values[name])
-        return own.value == values[highest] or not self.decided(own, self.cell(highest))
+    def matches_best(self, algorithm: str) -> Array:
+        is_best = self.cell(algorithm).value >= self.best() - self.tie
+        return is_best | self.like_the_highest(algorithm, ALGORITHMS)
 
-    def competitive_tasks(self, algorithm: str) -> int:
-        return sum(self.at(task).competitive(algorithm) for task in SETS[self.place])
-
-    def different(self, one: Cell, two: Cell) -> bool | None:
-        """Whether two cells are significantly different; None where their seeds are too few to say."""
-        fewest = min(one.seeds, two.seeds)
-        if fewest < 2:
-            return None
-        if not same_mean(*one, *two):
-            return True
-        return False if fewest >= PAPER_SEEDS else None
-
-    def decided(self, one: Cell, two: Cell) -> bool:
-        """The same. Raises NotMeasured where the seeds are too few."""
-        found = self.different(one, two)
-        if found is None:
-            raise NotMeasured
-        return found
+    def competitive_tasks(self, algorithm: str) -> Array:
+        return np.sum([self.at(task).competitive(algorithm) for task in self.tasks()], axis=0)
 
 
 # --- expressions ---
-NAMES = ("best", "improved", "shared", "alone", "gain")
-OF_NUMBERS = {"max": max, "min": min, "abs": abs}
-OF_ALGORITHMS = {
-    *("scaled", "lower", "competitive", "similar", "significantly_above", "matches_best", "competitive_tasks"),
-    *("gain_in", "apart"),
+Part = Callable[[Scope], Any]
+NAMES: dict[str, Part] = {
+    f.__name__: f
+    for f in (Scope.best, Scope.improved, Scope.significantly_improved, Scope.shared, Scope.alone, Scope.gain)
 }
-BOTH_SHARINGS = {"improved", "shared", "alone", "gain"}
-OF_ALL_NINE = {*NAMES, *OF_ALGORITHMS} - {"significantly_above"}
+FUNCTIONS: dict[str, Callable[..., Array]] = {
+    f.__name__: f
+    for f in (
+        *(Scope.gain_in, Scope.apart, Scope.scaled, Scope.lower, Scope.competitive, Scope.similar),
+        *(Scope.significantly_above, Scope.matches_best, Scope.competitive_tasks),
+    )
+}
+OF_NUMBERS: dict[str, Callable[..., Any]] = {
+    "max": lambda *values: functools.reduce(np.maximum, values),
+    "min": lambda *values: functools.reduce(np.minimum, values),
+    "abs": np.abs,
+}
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.USub: operator.neg, ast.Not: np.logical_not, ast.And: np.logical_and, ast.Or: np.logical_or},
+}
+# Comparisons of two values that are ties if they lie this near to each other.
+COMPARISONS: dict[type[ast.AST], Callable[[Any, Any, float], Any]] = {
+    ast.Lt: lambda one, two, tie: one < two - tie,
+    ast.Gt: lambda one, two, tie: one > two + tie,
+    ast.LtE: lambda one, two, tie: one <= two + tie,
+    ast.GtE: lambda one, two, tie: one >= two - tie,
+    ast.Eq: lambda one, two, tie: np.abs(one * 1.0 - two) <= tie,
+    ast.NotEq: lambda one, two, tie: np.abs(one * 1.0 - two) > tie,
+}
 
 
-@cache
-def compiled(expression: str) -> CodeType:
-    """An expression as `eval` takes it with a `Scope`. What stands in the brackets of a function of `OF_ALGORITHMS`
-    are names, not values."""
-    tree = ast.parse(expression, mode="eval")
-    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-        if ast.unparse(call.func) in OF_ALGORITHMS:
-            call.args = [ast.copy_location(ast.Constant(ast.unparse(name)), name) for name in call.args]
-    return compile(tree, expression, "eval")
+@functools.cache
+def compiled(expression: str) -> Part:
+    """An expression as a function of a scope. InputError for anything but what the head of this module lists."""
+    return part(ast.parse(expression, mode="eval").body)
+
+
+def part(node: ast.expr) -> Part:
+    """A part of an expression as a function of a scope."""
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return lambda scope: value
+        case ast.Name(id=name) if name in ALGORITHMS:
+            return lambda scope: scope.value(name)
+        case ast.Name(id=name) if name in NAMES:
+            return NAMES[name]
+        case ast.Name(id=name) if name in SETS:
+            return lambda scope: scope.place == name or scope.place in SETS[name]
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+            names = [arg.id for arg in args if isinstance(arg, ast.Name) and arg.id in {*ALGORITHMS, *SETS}]
+            if len(names) == len(args) > 0:
+                return lambda scope: FUNCTIONS[name](scope, *names)
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in OF_NUMBERS and args:
+            return applied(OF_NUMBERS[name], args)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
+            return applied(OPERATORS[type(op)], [left, right])
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
+            return applied(OPERATORS[type(op)], [operand])
+        case ast.BoolOp(op=op, values=values):
+            return applied(lambda *each: functools.reduce(OPERATORS[type(op)], each), values)
+        case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in COMPARISONS:
+            one, two, compare, of_returns = part(left), part(right), COMPARISONS[type(op)], is_of_returns(node)
+            return lambda scope: compare(one(scope), two(scope), scope.tie if of_returns else 0.0)
+        case ast.IfExp(test=ast.Name(id=name) as test, body=body, orelse=orelse) if name in SETS:
+            condition, yes, no = part(test), part(body), part(orelse)
+            return lambda scope: yes(scope) if condition(scope) else no(scope)
+    raise InputError(f"a claim cannot say {ast.unparse(node)}")
+
+
+def applied(function: Callable[..., Any], arguments: list[ast.expr]) -> Part:
+    """A function of the values of these parts."""
+    parts = [*map(part, arguments)]
+    return lambda scope: function(*(each(scope) for each in parts))
+
+
+def is_of_returns(node: ast.Compare) -> bool:
+    """Whether it compares returns, in which there are ties, and nothing that was made of them, such as a number."""
+    names = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
+    return names <= {*ALGORITHMS, "best", *OF_NUMBERS}
 
 
 # --- claims ---
+@dataclass(frozen=True)
+class Verdict:
+    """holds, does not hold, too close to call or not measured, and what is behind it.
+
+    share, open: of the completed tables those in which it holds, and those in which cells that do not exist decide.
+    error: twice the standard error of the share. outcomes: by task, family or pair the share of the tables in which the
+    expression holds there; None where it is not measured. rests_on: the cells that carry it, and what one seed more of
+    each would cost; empty where all have five seeds. alone: the verdict without the games that stand in for the
+    paper's; empty where it looks at none.
+    """
+
+    verdict: str
+    share: float
+    open: float
+    error: float
+    outcomes: dict[str, float | None]
+    figures: str = ""
+    rests_on: str = ""
+    alone: str = ""
+
+    @property
+    def shares(self) -> str:
+        """Share and error in percent, and what is open."""
+        open_tables = f"; open in {100 * self.open:.1f} %" if self.open else ""
+        return f"{100 * self.share:.1f} ± {100 * self.error:.1f} %{open_tables}"
+
+
 @dataclass(frozen=True)
 class Claim:
     """A line of benchmark/paper/claims.csv."""
@@ -313,218 +438,166 @@ class Claim:
     metric: str
     expression: str
 
-    @cached_property
-    def places(self) -> tuple[str, ...]:
-        """The tasks, or the families."""
-        words = self.tasks.split()
-        if words[0] == "families":
-            return tuple(words[1:])
+    @property
+    def kind(self) -> str:
+        """What it goes by: tasks, families or pairs."""
+        word = self.tasks.split()[0]
+        return word if word in ("families", "pairs") else "tasks"
+
+    @functools.cached_property
+    def places(self) -> tuple[tuple[str, str], ...]:
+        """The tasks or the families, each with the pair's algorithm or nothing."""
+        words = self.tasks.removeprefix(self.kind).split()
+        if self.kind == "families":
+            return tuple((name, "") for name in words)
         found: dict[str, None] = {}
         for word in words:
-            name = word.removeprefix("-")
-            tasks = SETS.get(name, (name,))
-            if word == name:
-                found |= dict.fromkeys(tasks)
-            else:
+            tasks = SETS.get(word.removeprefix("-"), (word.removeprefix("-"),))
+            if word.startswith("-"):
                 found = {task: None for task in found if task not in tasks}
-        return tuple(found)
+            else:
+                found |= dict.fromkeys(tasks)
+        return tuple((task, name) for task in found for name in (ALGORITHMS if self.kind == "pairs" else ("",)))
 
-    @cached_property
+    @functools.cached_property
     def named(self) -> list[str]:
         """The words in the expression, in order, each once."""
         return list(dict.fromkeys(re.findall("[a-z][a-z0-9_]*", self.expression)))
 
     def enough(self) -> int:
-        """On how many tasks or families it must hold."""
+        """On how many tasks, families or pairs it must hold."""
         number = len(self.places)
         by_name = {"all": number, "majority": number // 2 + 1, "three quarters": math.ceil(0.75 * number)}
         return by_name[self.needed] if self.needed in by_name else int(self.needed)
 
-    def cells(self) -> Iterator[Key]:
-        """The cells that the claim looks at."""
-        code, family_by_family = self.needed == "code", self.tasks.startswith("families")
-        named = set() if code else {*self.named}
-        alone = self.expression.startswith("sharing") if code else BOTH_SHARINGS & named
-        if code or family_by_family or OF_ALL_NINE & named:
-            algorithms: Iterable[str] = ALGORITHMS
-        else:
-            algorithms = [name for name in ALGORITHMS if name in named]
-        for place in (*self.places, *(name for name in self.named if name in SETS)):
-            for task in SETS.get(place, (place,)):
-                for sharing in SHARING.values() if alone else (SHARED,):
-                    yield from ((self.metric, sharing, task, name) for name in algorithms)
+    def judge(self, view: View) -> tuple[Verdict, dict[str, set[Key]]]:
+        """The verdict by these tables, and by place the cells that it looked at."""
+        outcomes: dict[str, Array | None] = {}
+        asked: dict[str, set[Key]] = {}
+        for place, algorithm in self.places:
+            scope = Scope(view, place, self.metric, algorithm)
+            holds = np.broadcast_to(compiled(self.expression)(scope), view.draws)
+            name = f"{algorithm} {place}".strip()
+            asked[name] = scope.asked
+            outcomes[name] = holds if scope.asked <= view.cells.keys() else None
+        return verdict_of(outcomes, self.enough(), view.draws), asked
 
-    def judge(self, view: View) -> Verdict:
-        """By these cells as they are."""
-        if self.needed == "code":
-            try:
-                return CODE[self.expression](view)
-            except NotMeasured:
-                return Verdict(UNKNOWN, "")
-        outcomes: dict[str, bool | None] = {}
-        for place in self.places:
-            scope: Any = Scope(view, place, self.metric)
-            try:
-                outcomes[place] = bool(eval(compiled(self.expression), {}, scope))
-            except NotMeasured:
-                outcomes[place] = None
-        return Verdict(verdict_of(outcomes, self.enough()), "", outcomes)
-
-    def text(self, view: View, outcomes: dict[str, bool | None]) -> str:
-        """The figures behind the verdict."""
+    def text(self, view: View, tables: View, outcomes: dict[str, float | None]) -> str:
+        """The figures behind the verdict; view: the table as it is, whose values are shown; tables: completed. Yes is
+        what holds in most of these."""
         missing = [*outcomes.values()].count(None)
-        if not outcomes or missing == len(outcomes):
+        if missing == len(outcomes):
             return ""
-        words = "families" if self.tasks.startswith("families") else "tasks"
-        yes, no = ([place for place, holds in outcomes.items() if holds is which] for which in (True, False))
-        parts = [f"{len(yes)} of {len(outcomes)} {words}" + (f", {missing} not measured" if missing else "")]
-        if yes and len(outcomes) <= MOST_SHOWN:
-            parts.append(f"yes: {', '.join(self.values_text(view, place) for place in yes)}")
-        if no:
-            shown = [self.values_text(view, place) for place in no[:MOST_SHOWN]]
-            parts.append(f"no: {', '.join(shown)}" + (", ..." if len(no) > MOST_SHOWN else ""))
+        yes, no = (
+            [place for place, share in outcomes.items() if share is not None and (share >= 0.5) is which]
+            for which in (True, False)
+        )
+        parts = [f"{len(yes)} of {len(outcomes)} {self.kind}" + (f", {missing} not measured" if missing else "")]
+        if yes and (len(outcomes) <= MOST_SHOWN or self.kind == "pairs"):
+            parts.append(f"yes: {self.listed(view, tables, yes)}")
+        if no and self.kind != "pairs":
+            parts.append(f"no: {self.listed(view, tables, no)}")
         return "; ".join(parts)
 
-    def values_text(self, view: View, place: str) -> str:
-        """The values of one task or family that the expression names."""
-        scope, parts = Scope(view, place, self.metric), []
+    def listed(self, view: View, tables: View, places: list[str]) -> str:
+        """A few places with their values."""
+        shown = ", ".join(self.values_text(view, tables, place) for place in places[:MOST_SHOWN])
+        return shown + (", ..." if len(places) > MOST_SHOWN else "")
+
+    def values_text(self, view: View, tables: View, place: str) -> str:
+        """The values of one task, family or pair that the expression names."""
+        algorithm, _, task = place.rpartition(" ")
+        scope, parts, title = Scope(view, task, self.metric, algorithm), [], game(view, task)
         if "competitive_tasks" in self.named:
-            algorithm = next(name for name in self.named if name in ALGORITHMS)
-            tasks = [task for task in SETS[place] if scope.at(task).competitive(algorithm)]
-            return f"{place} ({', '.join(tasks) or 'none'})"
+            named = next(name for name in self.named if name in ALGORITHMS)
+            scopes = [Scope(tables, each, self.metric) for each in scope.tasks()]
+            tasks = [game(view, each.place) for each in scopes if each.competitive(named).mean() >= 0.5]
+            return f"{title} ({', '.join(tasks) or 'none'})"
+        if algorithm:
+            one, two = (scope.cell(algorithm, sharing).value[0] for sharing in SHARING.values())
+            return f"{algorithm.upper()} on {title} ({one:.2f}, {two:.2f} without)"
         for name in self.named:
             if name in ALGORITHMS:
-                parts.append(f"{name.upper()} {scope[name]:.2f}")
-            elif name in NAMES:
-                parts.append(f"{name} {scope[name]:{'d' if name == 'improved' else '.2f'}}")
-        if {"competitive", "matches_best", "scaled"} & {*self.named} and place not in PAPER_FAMILIES:
-            parts.append(f"best {scope.best:.2f}")
-        return f"{place} ({', '.join(parts)})"
+                parts.append(f"{name.upper()} {scope.value(name)[0]:.2f}")
+            elif name in NAMES and name != "best":
+                parts.append(f"{name} {NAMES[name](scope)[0]:{'d' if name == 'improved' else '.2f'}}")
+        if {"best", "competitive", "matches_best", "scaled"} & {*self.named} and place not in PAPER_FAMILIES:
+            parts.append(f"best {scope.best()[0]:.2f}")
+        return f"{title} ({', '.join(parts)})"
 
 
-def verdict_of(outcomes: dict[str, bool | None], enough: int) -> str:
-    """Whether the expression holds on enough tasks, as soon as those that are not measured cannot change it."""
-    number = Counter(outcomes.values())
-    return HOLDS if number[True] >= enough else FAILS if number[True] + number[None] < enough else UNKNOWN
+def game(view: View, place: str) -> str:
+    """The name of the game that the cells of a task are of; of a family of which some are stand-ins, that they are."""
+    if any(view.games.get(task, task) != task for task in SETS.get(place, ()) if place in PAPER_FAMILIES):
+        return f"the stand-ins of {PAPER_FAMILIES[place]}"
+    return view.games.get(place, place)
 
 
-# --- a claim that compares pairs of algorithm and task with each other ---
-def means_with_and_without(view: View, tasks: Iterable[str]) -> tuple[float, float]:
-    """The means of the normalised maximum returns with and without sharing; normalised over both. Tasks on which all
-    returns are equal do not count; where there are no others, both means are 0."""
-    means = []
-    for task in tasks:
-        values = np.array([[*view.values("max_return", sharing, task).values()] for sharing in SHARING.values()])
-        if np.ptp(values):
-            means.append((values.mean(axis=1) - values.min()) / np.ptp(values))
-    shared, alone = np.mean(means, axis=0) if means else (0.0, 0.0)
-    return shared, alone
+def verdict_of(outcomes: dict[str, Array | None], enough: int, draws: int) -> Verdict:
+    """Whether the expression holds in enough places, as the tables say; outcomes: by place, None where it is not
+    measured."""
+    known = [holds for holds in outcomes.values() if holds is not None]
+    yes, missing = np.sum(known, axis=0) if known else np.zeros(1), len(outcomes) - len(known)
+    share, failing = float(np.mean(yes >= enough)), float(np.mean(yes + missing < enough))
+    undecided = float(np.mean((yes < enough) & (yes + missing >= enough)))
+
+    def error(of: float) -> float:
+        return 2 * math.sqrt(of * (1 - of) / draws)
+
+    if share - error(share) >= SURE:
+        verdict = HOLDS
+    elif failing - error(failing) >= SURE:
+        verdict = FAILS
+    else:
+        verdict = UNKNOWN if undecided and max(share, failing) + undecided >= SURE else CLOSE
+    shares = {place: None if holds is None else float(np.mean(holds)) for place, holds in outcomes.items()}
+    return Verdict(verdict, share, undecided, error(share), shares)
 
 
-def sharing_significant(view: View) -> Verdict:
-    """Three pairs of algorithm and task at least."""
-    found, missing = [], 0
-    for task in TASKS:
-        for name in ALGORITHMS:
-            try:
-                scope = Scope(view, task, "max_return")
-                one, two = (view.cell("max_return", sharing, task, name) for sharing in SHARING.values())
-                if one.value > two.value and scope.decided(one, two):
-                    found.append(f"{name.upper()} on {task} ({one.value:.2f}, {two.value:.2f} without)")
-            except NotMeasured:
-                missing += 1
-    shown = ", ".join(found[:MOST_SHOWN]) + (", ..." if len(found) > MOST_SHOWN else "")
-    pairs = len(TASKS) * len(ALGORITHMS)
-    if missing == pairs:
-        raise NotMeasured
-    figures = f"{len(found)} of {pairs} pairs" + (f", {missing} not measured" if missing else "")
-    verdict = HOLDS if len(found) >= 3 else UNKNOWN if len(found) + missing >= 3 else FAILS
-    return Verdict(verdict, f"{figures}: {shown}" if found else figures)
-
-
-CODE = {"sharing_significant": sharing_significant}
 with open(PAPER / "claims.csv", encoding="utf-8", newline="") as claims_file:
     CLAIMS = [Claim(**row) for row in csv.DictReader(claims_file)]
 
 
 # --- verdicts ---
-def completed(view: View, paper: View) -> list[View]:
-    """`DRAWS` tables in which each cell that the paper has, too, has at least five seeds."""
-    drawn: dict[Key, list[Cell]] = {}
-    for key, cell in view.cells.items():
-        rng = np.random.default_rng(list("/".join(key).encode()))  # new results elsewhere change nothing here
-        missing = PAPER_SEEDS - cell.seeds
-        if missing <= 0 or key not in paper.cells:
-            continue
-        deviation = float(spread(cell.interval, cell.seeds, paper.cells[key].interval))
-        mean = rng.normal(cell.value, deviation / np.sqrt(cell.seeds), DRAWS)
-        seeds = rng.normal(mean[:, None], deviation, (DRAWS, missing))
-        theirs = seeds.mean(axis=1)
-        whole = (cell.seeds * cell.value + missing * theirs) / PAPER_SEEDS
-        squares = ((seeds - theirs[:, None]) ** 2).sum(axis=1)
-        squares += cell.seeds * missing / PAPER_SEEDS * (cell.value - theirs) ** 2
-        if cell.seeds > 1:
-            squares += (cell.seeds - 1) * (cell.interval * np.sqrt(cell.seeds) / 2) ** 2
-        intervals = 2 * np.sqrt(squares / (PAPER_SEEDS - 1)) / np.sqrt(PAPER_SEEDS)
-        drawn[key] = [Cell(*each, PAPER_SEEDS) for each in zip(whole.tolist(), intervals.tolist())]
-    return [View(view.cells | {key: cells[draw] for key, cells in drawn.items()}) for draw in range(DRAWS)]
-
-
-def judge(cells: pd.DataFrame, hours: dict[tuple[str, str, str], float] | None = None) -> list[Verdict]:
-    """The verdict on each of CLAIMS in these cells.
-
-    hours: CPU hours of a run by sharing, the paper's task and algorithm, to say what one seed more would cost.
-    """
-    view = View.of(cells)
+def judge(cells: pd.DataFrame, hours: Hours | None = None, ties: bool = True) -> list[Verdict]:
+    """The verdict on each of CLAIMS in these cells. hours: to say what one seed more would cost."""
+    view = replace(View.of(cells), ties=ties)
     few = {key for key, cell in view.cells.items() if cell.seeds < PAPER_SEEDS}
-    tables = completed(view, View.of(paper_cells())) if few else []
+    tables = completed(view, View.of(paper_cells())) if few else view
     return [one_verdict(claim, view, tables, few, hours or {}) for claim in CLAIMS]
 
 
-def one_verdict(
-    claim: Claim, view: View, tables: list[View], few: set[Key], hours: dict[tuple[str, str, str], float]
-) -> Verdict:
-    """The verdict on one claim; tables: `completed`; few: the cells with fewer than five seeds."""
-    found = claim.judge(view)
-    found = replace(found, figures=found.figures or claim.text(view, found.outcomes))
-    needed = set(claim.cells())
-    carrying = needed & few
-    if found.verdict == UNKNOWN:
-        absent = sum(key not in view.cells for key in needed)
-        missing = cells_text("needs more seeds: ", shown(claim, view, carrying), hours)
-        return replace(found, rests_on=f"missing cells: {absent}" if absent else missing)
-    if not carrying:
-        return found
-    drawn = [claim.judge(table) for table in tables]
-    stays = float(np.mean([each.verdict == found.verdict for each in drawn]))
-    if stays >= 1 - TURNED:
-        return replace(found, rests_on=cells_text("", shown(claim, view, carrying), hours))
-    turning = {
-        place
-        for place, holds in found.outcomes.items()
-        if np.mean([each.outcomes[place] is not holds for each in drawn]) > TURNED
-    }
-    tasks = {task for place in turning for task in SETS.get(place, (place,))}
-    deciding = shown(claim, view, {key for key in carrying if key[2] in tasks} or carrying)
-    words = f"{found.verdict} as it is, and in {100 * stays:.0f} % of the completed tables; "
-    return replace(found, verdict=CLOSE, rests_on=cells_text(words, deciding, hours))
+def one_verdict(claim: Claim, view: View, tables: View, few: set[Key], hours: Hours) -> Verdict:
+    """The verdict on one claim; view: as it is; tables: completed; few: the cells with fewer than five seeds."""
+    found, asked = claim.judge(tables)
+    cells = set().union(*asked.values())
+    alone = ""
+    if any(view.games.get(key[2], key[2]) != key[2] for key in cells):
+        without = claim.judge(tables.without_stand_ins())[0]
+        alone = f"{without.verdict}, {without.shares}"
+    open_places = [place for place, share in found.outcomes.items() if share is not None and 0.05 < share < SURE]
+    deciding = set().union(*(asked[place] for place in open_places)) & few or cells & few
+    absent = len(cells - view.cells.keys())
+    parts = [f"missing cells: {absent}"] if absent else []
+    if deciding:
+        parts.append(cells_text(view, shown(claim, view, deciding), hours))
+    return replace(found, figures=claim.text(view, tables, found.outcomes), rests_on="; ".join(parts), alone=alone)
 
 
 def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:
     """Those of these cells that are of an algorithm that the claim names, or of the best on their task; all of them,
-    where the claim is code."""
-    if claim.needed == "code":
-        return cells
+    where it goes by pairs."""
     highest: dict[tuple[str, ...], float] = {}
     for key, cell in view.cells.items():
-        highest[key[:3]] = max(cell.value, highest.get(key[:3], -math.inf))
-    return {key for key in cells if key[3] in claim.named or view.cells[key].value == highest[key[:3]]} or cells
+        highest[key[:3]] = max(cell.value[0], highest.get(key[:3], -math.inf))
+    named = {key for key in cells if key[3] in claim.named or view.cells[key].value[0] == highest[key[:3]]}
+    return cells if claim.kind == "pairs" else named or cells
 
 
-def cells_text(words: str, cells: set[Key], hours: dict[tuple[str, str, str], float]) -> str:
+def cells_text(view: View, cells: set[Key], hours: Hours) -> str:
     """How many cells with fewer than five seeds there are, on which tasks, and what one seed more of each costs."""
-    tasks = [task for task in TASKS if any(key[2] == task for key in cells)]
+    tasks = [game(view, task) for task in TASKS if any(key[2] == task for key in cells)]
     shown = ", ".join(tasks[:MOST_SHOWN]) + (", ..." if len(tasks) > MOST_SHOWN else "")
     cost = sum(hours.get(key[1:], 0.0) for key in cells)
     price = f"; one seed more of each: {cost:.1f} CPU hours" if cost else ""
-    return f"{words}{len(cells)} cell{'s' * (len(cells) > 1)} with fewer than five seeds ({shown}){price}"
+    return f"{len(cells)} cell{'s' * (len(cells) > 1)} with fewer than five seeds ({shown}){price}"

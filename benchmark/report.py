@@ -285,21 +285,45 @@ class Report:
         return [*zip(claims.CLAIMS, claims.judge(self.paper), claims.judge(self.ours, hours))]
 
     def claims_table(self) -> tuple[str, str]:
-        """The claims that our results say something of; and a sentence with the number of each verdict."""
+        """The claims with their verdicts; and sentences with the number of each verdict and what ties change. Nothing
+        where our results have no figure for any."""
         verdicts = self.verdicts()
+        if not any(ours.figures for _, _, ours in verdicts):
+            return "", ""
+        header = ["section", "claim", "by the paper's tables", "by our results", "holds in", "without stand-ins"]
         body = [
-            [claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on]
+            [
+                claim.place,
+                claim.sentence,
+                paper.verdict,
+                ours.verdict,
+                ours.shares,
+                ours.alone,
+                ours.figures,
+                ours.rests_on,
+            ]
             for claim, paper, ours in verdicts
-            if ours.figures
         ]
-        header = ["section", "claim", "by the paper's tables", "by our results", "our figures", "rests on"]
         number = Counter(ours.verdict for _, _, ours in verdicts)
         counts = (
             f"Of the {len(verdicts)} claims {number[claims.HOLDS]} hold by our results, {number[claims.FAILS]} do not, "
-            f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured; "
-            f"{len(verdicts) - len(body)} of these have no figure at all."
+            f"{number[claims.CLOSE]} are too close to call, and {number[claims.UNKNOWN]} are not measured. "
+            f"{self.what_ties_change(verdicts)}"
         )
-        return tables.to_markdown(header, body), counts
+        return tables.to_markdown([*header, "our figures", "rests on"], body), counts
+
+    def what_ties_change(self, verdicts: list[tuple[claims.Claim, claims.Verdict, claims.Verdict]]) -> str:
+        """The verdicts that would be others if returns that lie within 0.1 % of the best were no ties."""
+        _, by_paper, by_ours = zip(*verdicts)
+        found = []
+        for whose, cells, judged in (("the paper's tables", self.paper, by_paper), ("our results", self.ours, by_ours)):
+            found += [
+                f'by {whose} "{claim.sentence}" would read "{without.verdict}" and not "{own.verdict}"'
+                for claim, own, without in zip(claims.CLAIMS, judged, claims.judge(cells, ties=False))
+                if without.verdict != own.verdict
+            ]
+        changed = "; ".join(found) or "no verdict would be another"
+        return f"Returns that differ by 0.1 % of the most that a game can give, or less, are ties. Otherwise {changed}."
 
     def long(self) -> str:
         """What stands in RESULTS.md."""
@@ -380,13 +404,17 @@ brackets 95 % intervals from 2,000 bootstrap samples, drawn task by task; in rou
 were run on different tasks do not compare in the first table."""
 
 
-CLAIMS_WORDS = """\
+CLAIMS_WORDS = f"""\
 A selection of what the paper's sections 5 and 6 say, by maximum returns with sharing unless a sentence says otherwise;
 in brackets how a sentence is read here. The head of `benchmark/claims.py` says what the words mean, and
 `benchmark/paper/claims.csv` what must hold. By these meanings some of the sentences do not hold in the paper's own
-tables. Too close to call: the cells with fewer than five seeds were completed to five 1,000 times, with the spread of
-the paper's seeds, and more than one of twenty such tables gave another verdict. The last column says on which of these
-cells a verdict rests, and what one seed more of each would cost."""
+tables. The cells with fewer than five seeds were completed to five, {claims.DRAWS:,} times, with the spread of the
+paper's seeds and within the bounds of each game. "Holds in": in what share of these tables the claim holds, with twice
+the standard error of this share, and in what share cells that do not exist decide. A claim holds, or does not, where
+95 % of the tables say so, by more than this error. Else it is too close to call; or not measured, if cells that do not
+exist could still decide it. "Without stand-ins": the same without the tasks `smaclite-...-sc2`, which stand in for
+SMAC's and are not the same games. The last column says on which cells a verdict rests, and what one seed more of each
+would cost."""
 
 
 def paragraphs(parts: list[str]) -> str:

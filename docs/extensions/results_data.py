@@ -108,13 +108,14 @@ def campaign(algorithm: str, task: str, sharing: str, changed: dict, seeds: int)
 
 
 @lru_cache
-def verdicts() -> list[tuple[str, str, str, str, str, str]]:
-    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, our figures, and the cells
-    on which our verdict rests."""
-    return [
-        (claim.place, claim.sentence, paper.verdict, ours.verdict, ours.figures, ours.rests_on)
-        for claim, paper, ours in report().verdicts()
-    ]
+def verdicts() -> list[tuple[str, str, str, str, list[str]]]:
+    """The paper's claims: section, sentence, verdict by the paper's tables, by our results, and what is behind this."""
+    found = []
+    for claim, paper, ours in report().verdicts():
+        behind = [f"holds in {ours.shares} of the completed tables", ours.figures, ours.rests_on]
+        behind += [f"without stand-ins: {ours.alone}"] if ours.alone else []
+        found.append((claim.place, claim.sentence, paper.verdict, ours.verdict, behind))
+    return found
 
 
 def one_command(algorithm: str) -> str:

@@ -136,10 +136,10 @@ class Claims(Directive):
     def run(self) -> list[nodes.Node]:
         rows: list[str] = []
         counts: dict[str, int] = {}
-        for place, sentence, paper, ours, figures, rests_on in results_data.verdicts():
+        for place, sentence, paper, ours, behind in results_data.verdicts():
             counts[ours] = counts.get(ours, 0) + 1
             kinds = [verdict.replace(" ", "-") for verdict in (paper, ours)]
-            said = "".join(f'<div class="figures">{html.escape(text)}</div>' for text in (figures, rests_on) if text)
+            said = "".join(f'<div class="figures">{html.escape(text)}</div>' for text in behind if text)
             rows.append(
                 f"<tr><td>{place}</td><td>{html.escape(sentence)}{said}</td>"
                 f'<td class="verdict {kinds[0]}">{paper}</td><td class="verdict {kinds[1]}">{ours}</td></tr>'
@@ -214,7 +214,7 @@ def write_data(static: Path) -> None:
     """The kinds of charts, and what static/explorer.js shows: all tasks and algorithms, and a file for each task."""
     curves = results_data.curves()
     tasks = results_data.tables.in_order(curves["task"])
-    families = {task: results_data.FAMILIES.get(results_data.store.family(task), "Other tasks") for task in tasks}
+    families = {task: results_data.store.FAMILIES[results_data.store.family(task)] for task in tasks}
     write_script(static / "chart-kinds.js", "window.chartKinds", charts.kinds())
     overview = {"families": families, "algorithms": algorithms()}
     write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
