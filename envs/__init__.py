@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from envs import needed  # isort: skip  # noqa: F401 (before whatever imports packages that may be missing)
 import importlib
 import inspect
 import numbers

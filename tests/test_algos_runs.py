@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +25,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from envs import runs
 from envs.families import lbf, matrix
 from envs.runs import fast_mkl
+from envs.runs.process import project_version
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "--network", "gru"]
@@ -130,7 +130,7 @@ def test_config_says_what_was_run(finished):
     name, directory = finished
     config = json.loads((directory / "config.json").read_text())
     assert config["algorithm"] == name and config["flags"]["env"] == "lbf-5x5-2p-1f"
-    assert config["versions"]["torch"] == torch.__version__ and config["version"] == version("marl-baselines")
+    assert config["versions"]["torch"] == torch.__version__ and config["version"] == project_version()
     assert config["paper_timesteps"] == (20_000_000 if name in ON_POLICY else 2_000_000)
     changed = {"total_timesteps": STEPS[name], "hidden_dim": 32, "eval_points": 11}
     assert changed.items() <= config["changed"].items()

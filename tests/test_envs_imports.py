@@ -18,6 +18,7 @@ FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*
 FUNCTIONS = ("envs.VectorEnv", "envs.film", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
+    "needed.py": (),
     "vector.py": (),
     "workers.py": ("envs.vector",),
     "render.py": ("envs.vector",),
@@ -27,7 +28,7 @@ ALLOWED = {
     "faults.py": (),
     "adapters": ("envs.adapters", "envs.faults", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
     "check.py": ("envs.faults", "envs.vector"),
-    "__init__.py": ("envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
+    "__init__.py": ("envs.needed", "envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
     "runs": ("envs.runs", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 

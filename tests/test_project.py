@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import importlib.metadata
 import re
 import subprocess
 import sys
@@ -13,6 +12,8 @@ from scripts import ROOT
 
 import benchmark
 import envs
+from envs import needed
+from envs.runs.process import project_version
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -24,7 +25,7 @@ def notes(tag):
 def test_the_version_has_notes_and_stands_in_one_place():
     done = notes(f"v{PROJECT['version']}")
     assert done.returncode == 0 and done.stdout.startswith("###"), done.stderr
-    assert importlib.metadata.version("marl-baselines") == PROJECT["version"], "pip install -e . again"
+    assert project_version() == PROJECT["version"]
     assert PROJECT["version"] not in (ROOT / "CITATION.cff").read_text()
 
 
@@ -32,6 +33,16 @@ def test_the_version_has_notes_and_stands_in_one_place():
 def test_a_tag_that_is_not_the_version_makes_no_release(tag):
     done = notes(tag)
     assert done.returncode == 1 and "but pyproject.toml says" in done.stderr and not done.stdout
+
+
+def test_without_the_packages_a_program_says_what_to_type(tmp_path):
+    """With -S Python finds nothing that was installed."""
+    for words in (["algos/mappo.py"], ["algos/iql.py", "--help"], ["-m", "envs"]):
+        done = subprocess.run([sys.executable, "-S", *words], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
+        assert f"these packages are missing: {', '.join(needed.PACKAGES)}; python -m pip install -e" in done.stderr
+    names = [package.partition(">=")[0] for package in PROJECT["dependencies"]]
+    assert [{"PIL": "pillow"}.get(package, package) for package in needed.PACKAGES] == names
 
 
 def test_programs_that_tests_start_import_this_checkout(tmp_path):

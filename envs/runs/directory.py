@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import hashlib
-import importlib.metadata
 import io
 import json
 import math
@@ -22,7 +21,7 @@ from typing import Any
 import filelock
 
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
-from envs.runs.process import Stopwatch, provenance, say, script_hash
+from envs.runs.process import Stopwatch, project_version, provenance, say, script_hash
 from envs.vector import EpisodeTotals, InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
@@ -355,7 +354,7 @@ def describe(script: str | os.PathLike[str], args: Any, default: Any) -> dict[st
         "flags": named_flags(args),
         "changed": changed_flags(args, default),
         "paper_timesteps": default.total_timesteps,
-        "version": importlib.metadata.version("marl-baselines"),
+        "version": project_version(),
         "script": script_hash(script),
         **provenance(),
     }

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,14 @@ def provenance() -> dict[str, Any]:
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
         "fast_mkl": fast_mkl.LOADED,
     }
+
+
+def project_version() -> str:
+    """This project's version. A checkout says it itself, and need not be installed."""
+    project = Path(__file__).parents[2] / "pyproject.toml"
+    if project.exists():
+        return tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+    return importlib.metadata.version("marl-baselines")
 
 
 def _commit() -> str | None:
