@@ -7,8 +7,9 @@ reads the results of one or more folders and writes comparison.md and curves.png
 
 Compared are the runs that have the same task, sharing, changed flags and budget; of a run that two folders have, the
 first counts. The measure is the average return: the mean over all evaluations of a run. The test is Student's t of two
-samples with equal variances, over seeds. With several comparisons at once each has its share of the 5 %, so that with
-no true difference one such page in twenty claims one.
+samples with equal variances, over seeds. Runs of both sides with the same seed are no pairs: outside the matrix games
+their returns hardly rise and fall together, and pairs have half as many degrees of freedom. With several comparisons at
+once each has its share of the 5 %, so that with no true difference one such page in twenty claims one.
 docs/how-to/compare-mine.md is an example from beginning to end.
 """
 
@@ -25,7 +26,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
-from scipy.stats import t
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm, t
 
 import envs
 from benchmark import plots
@@ -34,6 +36,7 @@ from benchmark.store import RESULTS, load
 from envs import runs
 from envs.runs import one_sentence
 
+POWER = 0.8
 GROUP = ["task", "sharing", "setting", "total_timesteps"]  # what both sides must have in common
 
 
@@ -42,35 +45,49 @@ class Difference(NamedTuple):
 
     value: float
     half_width: float  # of its interval; infinite where no side has two seeds
+    detectable: float  # the true difference that this test finds in `POWER` of all such experiments
 
 
 def difference(mine: pd.Series, other: pd.Series, level: float) -> Difference:
     """By Student's t-test; one value of each sample for each seed. A side may have a single seed: the spread is the
     other's then."""
-    freedom = len(mine) + len(other) - 2
+    value, freedom = float(mine.mean() - other.mean()), len(mine) + len(other) - 2
+    if freedom == 0:
+        return Difference(value, np.inf, np.inf)
     squares = ((mine - mine.mean()) ** 2).sum() + ((other - other.mean()) ** 2).sum()
-    width = np.inf
-    if freedom > 0:
-        width = t.ppf(1 - level / 2, freedom) * np.sqrt(squares / freedom * (1 / len(mine) + 1 / len(other)))
-    return Difference(float(mine.mean() - other.mean()), float(width))
+    error = np.sqrt(squares / freedom * (1 / len(mine) + 1 / len(other)))
+    quantile = t.ppf(1 - level / 2, freedom)
+    # A true difference of x standard errors is found if x + z is above the quantile times the estimated error, which is
+    # the true one times `scale`. The mean over the distribution of this scale:
+    scale = np.sqrt(chi2.ppf(np.arange(0.5, 2000) / 2000, freedom) / freedom)
+    needed = brentq(lambda x: norm.cdf(x - quantile * scale).mean() - POWER, 0, quantile * scale[-1] + 10)
+    return Difference(value, float(quantile * error), float(needed * error))
 
 
-def claim(names: list[str], task: str, found: Difference) -> str:
-    """What may be said of one comparison."""
+def identical(mine: pd.DataFrame, other: pd.DataFrame) -> bool:
+    """Whether both sides have some seeds in common, and in all of these the same returns at all points."""
+    both = mine.merge(other, on=["seed", "point"])
+    return len(both) > 0 and bool((both["return_mean_x"] == both["return_mean_y"]).all())
+
+
+def claim(names: list[str], task: str, found: Difference, level: float) -> str:
+    """What may be said of one comparison; level: of its test."""
     mine, other = names
     if np.isinf(found.half_width):
         return f"Nothing may be claimed on {task}: one seed each does not show how much seeds differ."
+    interval = f"{100 * (1 - level):.4g} % interval"
     low, high = found.value - found.half_width, found.value + found.half_width
     if low > 0 or high < 0:
         word = "higher" if low > 0 else "lower"
         return (
             f"You may claim: on {task}, with these flags and this budget, {mine} has a {word} average return than "
             f"{other}, by {abs(found.value):.3f} (between {min(abs(low), abs(high)):.3f} and "
-            f"{max(abs(low), abs(high)):.3f}). Of other tasks and budgets this says nothing."
+            f"{max(abs(low), abs(high)):.3f}, the {interval}). Of other tasks and budgets this says nothing."
         )
     return (
-        f"No difference may be claimed on {task}: it lies between {low:+.3f} and {high:+.3f}. That the two are equal "
-        f"is not shown either: only a difference above {found.half_width:.3f} would have been seen."
+        f"No difference may be claimed on {task}: it lies between {low:+.3f} and {high:+.3f} (the {interval}). That "
+        "the two are equal is not shown either: with this spread and these seeds, a true difference of "
+        f"{found.detectable:.3f} is found in {100 * POWER:.0f} % of such experiments, and a smaller one less often."
     )
 
 
@@ -115,9 +132,16 @@ class Comparison:
                 last = rows[(rows["algorithm"] == name) & (rows["point"] == rows["point"].max())]["return_mean"]
                 cells = (self.title(key), name, len(sample), with_interval(sample), with_interval(last))
                 lines.append("| " + " | ".join(map(str, cells)) + " |")
-            claims.append(
-                f"* {claim(self.names, self.title(key), difference(mine_averages, other_averages, self.level))}"
-            )
+            sides = [rows[rows["algorithm"] == name] for name in self.names]
+            if identical(*sides):
+                said = (
+                    f"Nothing is compared on {self.title(key)}: {mine} and {other} have the same returns at every "
+                    "evaluation of every seed that both have. What you changed has no effect there."
+                )
+            else:
+                found = difference(mine_averages, other_averages, self.level)
+                said = claim(self.names, self.title(key), found, self.level)
+            claims.append(f"* {said}")
         commits = self.evaluations.groupby("algorithm", sort=False)["commit"].unique()
         made = [f"{name}: {', '.join(str(commit)[:10] for commit in commits[name])}" for name in self.names]
         number = len(self.groups)

@@ -60,6 +60,11 @@ def paper_setting(task: str) -> dict[str, Any]:
     return {"env_kwargs": f"opponent='{PAPER_OPPONENTS[task]}'"} if task in PAPER_OPPONENTS else {}
 
 
+def against(task: str) -> str:
+    """What a row of the tables adds to a task's name: the opponent, where another than the task's own plays."""
+    return ", the paper's " + {"mpe-adversary": "adversary", "mpe-tag": "prey"}[task] if task in PAPER_OPPONENTS else ""
+
+
 def has_paper_setting(evaluations: pd.DataFrame) -> pd.Series:
     """For each row whether it is of a run with the paper's flags and budget, against the paper's opponent."""
     settings = {task: setting_name(paper_setting(task)) for task in evaluations["task"].unique()}

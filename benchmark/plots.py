@@ -162,7 +162,8 @@ def learning_curves(evaluations: pd.DataFrame, family: str, sharing: str) -> Fig
             panel.set_xlabel("share of the paper's timesteps")
         for algorithm, line in mean_curves(rows, "return_mean"):
             curve(panel, algorithm, line["x"], line["mean"], line["interval"])
-        panel.set_title(task, fontsize=min(10.8, 330 / len(task)))  # a long name has the width of its panel, too
+        title = f"{task}{measures.against(task)}"
+        panel.set_title(title, fontsize=min(10.8, 330 / len(title)))  # a long name has the width of its panel, too
         panel.margins(x=0.02)
         if family == "matrix" and panel.get_ylim()[0] < -LINEAR:
             panel.set_yscale("symlog", linthresh=LINEAR)

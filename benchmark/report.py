@@ -204,7 +204,7 @@ class Report:
         body = [
             [
                 tables.TITLES[cell.metric],
-                cell.task,
+                f"{cell.task}{measures.against(cell.task)}",
                 cell.algorithm.upper(),
                 cell.sharing,
                 str(cell.seeds),

@@ -68,9 +68,14 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
     hours = {setting: sum(steps) * costs[setting] / 3600 for setting, steps in left.items() if setting in costs}
     print("\nCore hours, from the CPU seconds of the runs that the results have of the same setting:")
     for setting, steps in left.items():
-        known = f"{hours[setting]:.2f} core hours" if setting in hours else "not known, the results have no such run"
+        known = f"{hours[setting]:.2f} core hours" if setting in hours else "not known"
         changed = "" if setting[3] == store.PAPER_SETTING else f" with {setting[3]}"
         print(f"{' '.join(setting[:3])}{changed}: {len(steps)} run{'s' * (len(steps) != 1)}, {known}")
+    if unknown := sorted({algorithm for _, algorithm, _, _ in left.keys() - hours.keys()}):
+        print(
+            f"\nNo run of {', '.join(unknown)} with this setting is in the results; one that is complete would tell. A "
+            "copy costs about what its original does: name that with --algorithms, too."
+        )
     if hours:
         total, number = sum(hours.values()), sum(len(left[setting]) for setting in hours)
         wait = tqdm.format_interval(total * 3600 / min(jobs, number))
@@ -112,6 +117,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--results", type=Path, help=RESULTS_HELP)
     parser.add_argument("flags", nargs="*", help="flags for the scripts, behind --")
     args, unknown = parser.parse_known_args()
+    if args.flags and not args.flags[0].startswith("-"):
+        parser.error(f"{args.flags[0]!r} belongs to no flag; --seeds is how many there are, and --jobs one number, too")
     if unknown:
         parser.error(f"unknown: {' '.join(unknown)} (flags for the scripts go behind --)")
     if any(number is not None and number < 1 for number in (args.jobs, args.seeds)):

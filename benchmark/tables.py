@@ -1,8 +1,9 @@
 """The paper's tables from cells of results (`measures.our_cells`, `store.paper_cells`), as Markdown and CSV.
 
-In a row, the highest mean is bold, and with it those that are printed alike. An asterisk: not significantly different
-from one of them in a two-sided Student t-test with equal variances at 0.05, computed from means, intervals and numbers
-of seeds, as the paper's own marks can be.
+In a row, the highest mean is bold, and with it those that are printed alike; a maximum of untrained networks does not
+count, and a single seed is not bold. An asterisk: not significantly different from a bold one in a two-sided Student
+t-test with equal variances at 0.05, computed from means, intervals and numbers of seeds, as the paper's own marks can
+be.
 """
 
 import json
@@ -16,7 +17,7 @@ import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
 from benchmark.agreement import LEVEL, half_width
-from benchmark.measures import summarise
+from benchmark.measures import against, summarise
 from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, SHARED, algorithm_order, family
 
 TITLES = {
@@ -27,15 +28,15 @@ TITLES = {
     "last_win_rate": "Win rates at the last evaluation",
 }
 LEGEND = """\
-In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours, or several that are printed
-alike. An asterisk: not significantly different from one of these. A small number: how many seeds, where there are not
-five; a single one has no interval. ⁺ and ⁻: more or fewer seeds than `benchmark/seeds.csv` plans for the row. °: the
-maximum lies at step 0, before any training, and is the luck of random networks. †: another budget than the paper's, and
-so no difference. ‡: a value of the paper that cannot be, since its average is above its maximum. Difference: ours minus
-the paper's, in units of half the 95 % prediction interval of this difference, so that beyond 1 the two do not agree.
-For a single seed this interval has the spread of the paper's five seeds; with several seeds, that of ours and theirs
-together. A maximum of one seed is too high, beside one of a mean of five seeds: the best of 41 points picks its noise.
-So look at averages first."""
+In each cell the mean and its interval, 2 s / sqrt(n). **Bold**: the highest mean of ours without °, or several that are
+printed alike; nothing where it is of a single seed. An asterisk: not significantly different from a bold one. A small
+number: how many seeds, where there are not five; a single one has no interval. ⁺ and ⁻: more or fewer seeds than
+`benchmark/seeds.csv` plans for the row. °: the maximum lies at step 0, before any training, and is the luck of random
+networks. †: another budget than the paper's, and so no difference. ‡: a value of the paper that cannot be, since its
+average is above its maximum. Difference: ours minus the paper's, in units of half the 95 % prediction interval of this
+difference, so that beyond 1 the two do not agree. For a single seed this interval has the spread of the paper's five
+seeds; with several seeds, that of ours and theirs together. A maximum of one seed is too high, beside one of a mean of
+five seeds: the best of 41 points picks its noise. So look at averages first."""
 SUPERSCRIPTS = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
 
 
@@ -52,14 +53,16 @@ def same_mean(mean: float, interval: float, seeds: int, mean2: float, interval2:
 
 def marks(row: pd.DataFrame) -> list[str]:
     """For each cell of a table's row "best", "not significantly different" or "", in the words of the paper's CSV."""
+    learned = ~row["at_start"] if "at_start" in row else pd.Series(True, row.index)
+    highest = round(row.loc[learned, "mean"].max(), 2)
+    is_best = learned & (row["mean"].round(2) == highest) & (row["seeds"] > 1)
     cells = list(row[["mean", "interval", "seeds"]].itertuples(index=False, name=None))
-    highest = round(row["mean"].max(), 2)
-    best = [cell for cell in cells if round(cell[0], 2) == highest]
+    best = [cell for cell, mine in zip(cells, is_best) if mine]
     found = []
-    for cell in cells:
-        if cell in best:
+    for cell, mine, after_start in zip(cells, is_best, learned):
+        if mine:
             found.append("best")
-        elif any(same_mean(*cell, *other) for other in best):
+        elif after_start and any(same_mean(*cell, *other) for other in best):
             found.append("not significantly different")
         else:
             found.append("")
@@ -192,7 +195,10 @@ def markdown(both: pd.DataFrame, metric: str, sharing: str) -> str:
     chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
     body = []
     for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
-        body.append([task, "ours", *ours])
+        other_game = set(chosen.loc[chosen["task"] == task, "paper_task"]) == {
+            ""
+        }  # against this repository's opponents
+        body.append([task if other_game else f"{task}{against(task)}", "ours", *ours])
         for whose, row in (("paper", paper), ("difference", differences)):
             if set(row) - {"", "-"}:
                 body.append(["", whose, *row])

@@ -66,7 +66,7 @@ if repository:
 def name_repository(app, docname, source):
     """Puts the repository's address, where it is known, into commands that clone it."""
     if repository:
-        source[0] = source[0].replace("<this repository>", repository)
+        source[0] = source[0].replace("git clone REPOSITORY_URL", f"git clone {repository}")
 
 
 def setup(app):

@@ -15,7 +15,8 @@ from scipy.stats import ttest_ind
 from scripts import ROOT
 
 from benchmark import compare
-from benchmark.store import RESULTS
+from benchmark.measures import in_tables
+from benchmark.store import RESULTS, load
 
 
 def test_the_interval_is_that_of_students_t_test():
@@ -43,15 +44,65 @@ def test_a_single_seed_has_the_others_spread():
             0.1,
             "You may claim: on a task, with these flags and this budget, mine has a higher average return than ",
         ),
-        (0.3, 0.1, "by 0.300 (between 0.200 and 0.400)"),
-        (-0.3, 0.1, "mine has a lower average return than mappo, by 0.300 (between 0.200 and 0.400)"),
-        (0.3, 0.4, "No difference may be claimed on a task: it lies between -0.100 and +0.700."),
+        (0.3, 0.1, "by 0.300 (between 0.200 and 0.400, the 95 % interval)"),
+        (
+            -0.3,
+            0.1,
+            "mine has a lower average return than mappo, by 0.300 (between 0.200 and 0.400, the 95 % interval)",
+        ),
+        (0.3, 0.4, "No difference may be claimed on a task: it lies between -0.100 and +0.700 (the 95 % interval)."),
+        (0.3, 0.4, "a true difference of 0.500 is found in 80 % of such experiments"),
         (0.0, 0.0, "No difference may be claimed"),
         (0.3, np.inf, "Nothing may be claimed on a task: one seed each"),
     ],
 )
 def test_claims(value, half_width, said):
-    assert said in compare.claim(["mine", "mappo"], "a task", compare.Difference(value, half_width))
+    found = compare.Difference(value, half_width, 0.5)
+    assert said in compare.claim(["mine", "mappo"], "a task", found, 0.05)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.05 / 40])
+def test_a_difference_is_found_as_often_as_is_said(level):
+    """Over 2,000 pairs of samples whose means differ by what the deviation 1 lets one find."""
+    rng, found, told = np.random.default_rng(0), 0, []
+    typical = pd.Series([-1.0, 0.0, 1.0])  # of deviation 1
+    detectable = compare.difference(typical, typical, level).detectable
+    for _ in range(2000):
+        mine, other = pd.Series(rng.normal(detectable, 1, 3)), pd.Series(rng.normal(0, 1, 3))
+        one = compare.difference(mine, other, level)
+        found += abs(one.value) > one.half_width
+        told.append(one.detectable / one.half_width)
+    assert found / 2000 == pytest.approx(compare.POWER, abs=0.03)
+    assert np.ptp(told) < 1e-6 and min(told) > 1
+
+
+def test_two_sides_that_are_the_same_are_not_compared(tmp_path):
+    """A copy in which nothing was changed, or a value that PAPER overrides."""
+    source = RESULTS / "lbf-15x15-3p-5f" / "ippo-shared"
+    for name in ("ippo", "mine"):
+        target = tmp_path / "lbf-15x15-3p-5f" / f"{name}-shared.json"
+        target.parent.mkdir(exist_ok=True)
+        text = source.with_suffix(".json").read_text()
+        target.write_text(text.replace('"algorithm": "ippo"', f'"algorithm": "{name}"'))
+        target.with_suffix(".csv").write_text(source.with_suffix(".csv").read_text())
+    [said] = re.findall(r"(?m)^\* (.*)", compare.Comparison(["mine", "ippo"], [tmp_path]).page())
+    assert said.startswith(
+        "Nothing is compared on lbf-15x15-3p-5f, with parameter sharing: mine and ippo have the same"
+    )
+    assert "has no effect" in said
+
+
+def test_seeds_of_two_algorithms_hardly_rise_and_fall_together():
+    """Outside the matrix games. So they are compared as samples, not as pairs."""
+    evaluations = in_tables(load(RESULTS))
+    evaluations = evaluations[evaluations["family"] != "matrix"]
+    found = []
+    for _, rows in evaluations.groupby(["task", "sharing", "total_timesteps"]):
+        averages = rows.pivot_table(index="seed", columns="algorithm", values="return_mean")
+        correlations = averages.corr(min_periods=3).to_numpy()
+        found += list(correlations[np.triu_indices(len(correlations), 1)])
+    known = pd.Series(found).dropna()
+    assert len(known) >= 30 and abs(known.mean()) < 0.25, known.describe()
 
 
 def test_five_percent_are_shared_by_all_comparisons_of_a_page():

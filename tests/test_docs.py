@@ -17,12 +17,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import test_readme
 from docutils import nodes
+from scipy.stats import t
 from scripts import NINE, ROOT, trained
 from selenium import webdriver
 
 import envs
-from benchmark import measures
+from benchmark import measures, plan, run
 from envs.runs import Flags
 from envs.tasks import PAPER_TASKS
 
@@ -349,6 +351,90 @@ def parsed(file):
     return Page(file.read_text(encoding="utf-8"))
 
 
+class Code(HTMLParser):
+    """The commands of a page: the lines of its blocks of a shell, and what stands in its text and begins so."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.commands, self.open, self.text, self.shell = [], "", "", False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        if tag == "div":
+            found = re.match(r"highlight-(\w+)", dict(attributes).get("class") or "")
+            self.shell = found[1] in ("bash", "console") if found else self.shell
+        if tag in ("pre", "code") and not self.open:
+            self.open, self.text = tag, ""
+
+    def handle_data(self, data):
+        self.text += data
+
+    def handle_endtag(self, tag):
+        if tag != self.open:
+            return
+        self.open = ""
+        lines = self.text.replace("\\\n", "").splitlines() if tag == "code" or self.shell else []
+        if any(line.startswith("$ ") for line in lines):  # the others are what the commands print
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        self.commands += [line.strip() for line in lines if tag == "pre" or re.match(r"python \S+[./]", line)]
+
+
+# What is a command's form or part of its text, and what only the reader can fill in.
+NOT_A_COMMAND = re.compile(r"\.\.\.|<|^#|^[A-Za-z_]+=|^srun")
+
+
+def shown_commands(site):
+    """All commands of the site, by what the shell would read, with a page of each. Those of "The paper, run again" are
+    run by tests/test_readme.py, which compares what they print."""
+    found = {}
+    for file in sorted(set(site.glob("**/*.html")) - {site / "paper-run-again.html"}):
+        for line in Code(file.read_text(encoding="utf-8")).commands:
+            if line and not NOT_A_COMMAND.search(line):
+                found.setdefault(line, file.relative_to(site).as_posix())
+    return found
+
+
+@pytest.mark.slow
+def test_every_command_that_a_page_shows_can_be_run(site, tmp_path, monkeypatch):
+    """Also those that directives make. Campaigns are planned, flags are parsed, programs have what they are called
+    with. Only the networks of the paper's opponents, which are not here, are made of ours, as the same pages say how.
+    """
+    monkeypatch.chdir(tmp_path)
+    shown = shown_commands(site)
+    assert results_data.OPPONENTS_COMMAND in shown
+    (tmp_path / "opponents").mkdir()
+    for name in ("adversary", "tag"):
+        shutil.copy(ROOT / f"envs/families/opponents/mpe-{name}.npz", tmp_path / f"opponents/paper-{name}.npz")
+    wrong = []
+    for line, page in shown.items():
+        try:
+            try_command(line, tmp_path, monkeypatch)
+        except (Exception, SystemExit) as error:
+            wrong.append(f"{page}: {line}: {error!r}"[:400])
+    assert len(shown) > 300 and wrong == [], "\n".join(wrong)
+
+
+def try_command(line, folder, monkeypatch):
+    """Raises what speaks against a command."""
+    words = shlex.split(line, comments=True)
+    own_copies = {"fault1.py": "iql", "fault2.py": "maa2c", "mine.py": "iql", "mappo.py": "mappo"}
+    if words[:2] == ["python", "benchmark/run.py"]:
+        monkeypatch.setattr(sys, "argv", ["mappo" if word == "mine" else word for word in words[1:]])
+        args = run.parse()
+        algorithms = plan.script_names() if "all" in args.algorithms else [*dict.fromkeys(args.algorithms)]
+        tasks = plan.chosen_tasks(args.tasks)
+        grid = plan.read_grid(ROOT / args.grid) if args.grid else None
+        sharings = ["shared", "independent"] if args.sharing == "both" else [args.sharing]
+        plan.make_plan(algorithms, tasks, sharings, args.seeds or 1, tuple(args.flags), grid, folder)
+    elif words[0] == "python" and words[1] in own_copies:
+        test_readme.check_script(own_copies[words[1]], words[2:])
+    elif words[0] == "python" and words[1].startswith("examples/"):
+        known = test_readme.help_of(words[1])
+        assert all(word.partition("=")[0] in known for word in words[2:] if word.startswith("--"))
+    else:
+        test_readme.check(words, folder)
+
+
 @pytest.mark.slow
 def test_no_link_and_no_anchor_is_broken(site):
     broken = []
@@ -576,15 +662,67 @@ def test_a_click_in_the_explorer_changes_its_curves(site, browser):
 
 
 @pytest.mark.slow
-def test_an_empty_choice_in_the_explorer_shows_no_curves(site, browser):
-    visit(browser, site / "explorer.html", "#task=rware-tiny-4p")
-    drawing = browser.find_element("css selector", "#explorer .drawing")
-    assert until(lambda: drawing.find_elements("css selector", ".mark-line path")) and drawing.is_displayed()
-    browser.find_element("css selector", "#explorer input[value=independent]").click()
-    note = browser.find_element("css selector", "#explorer .note")
+def test_the_explorers_address_is_its_state(site, browser):
+    """Also where nothing is ticked, and when only what stands behind # is written anew."""
+    visit(browser, site / "explorer.html", "#task=lbf-8x8-2p-2f-c&sharing=independent&axis=steps&algorithms=")
+    drawing, note = (browser.find_element("css selector", f"#explorer .{name}") for name in ("drawing", "note"))
+    ticked = "return [...document.querySelectorAll('#explorer input:checked')].map((x) => x.value)"
     assert until(lambda: "Nothing to show" in note.text) and not drawing.is_displayed()
-    browser.find_element("css selector", "#explorer input[value=shared]").click()
-    assert until(drawing.is_displayed)
+    assert browser.execute_script(ticked) == ["independent", "steps"]
+    browser.find_element("css selector", "#explorer input[value=vdn]").click()
+    browser.find_element("css selector", "#explorer input[value=ia2c]").click()
+    assert browser.current_url.endswith("&algorithms=vdn,ia2c")
+    address = browser.current_url.partition("#")[2]
+    visit(browser, site / "explorer.html", f"#{address}")
+    assert browser.execute_script(ticked) == ["independent", "steps", "ia2c", "vdn"]
+    note = browser.find_element("css selector", "#explorer .note")
+    assert until(lambda: "3M steps: IA2C †; 2M steps: VDN. †: another budget" in note.text), note.text
+    browser.execute_script("location.hash = '#task=rware-tiny-4p&sharing=independent'")
+    shown = "return document.getElementById('explorer').dataset.shown"
+    assert until(lambda: len(browser.execute_script(shown).split()) == 9)
+    without = browser.find_element("css selector", "#explorer input[value=independent]")
+    assert not without.is_enabled()  # nothing was measured there
+    assert browser.execute_script(ticked)[:2] == ["shared", "share"]
+    assert complaints(browser) == []
+
+
+@pytest.mark.slow
+def test_a_band_covers_what_the_explorer_says(site, browser):
+    visit(browser, site / "explorer.html")
+    note = browser.find_element("css selector", "#explorer .note")
+    assert until(lambda: "70 % with two seeds, 82 % with three and 88 % with five" in note.text)
+    assert [round(100 * (2 * t.cdf(2, seeds - 1) - 1)) for seeds in (2, 3, 5)] == [70, 82, 88]
+    ends = (
+        "return [...document.querySelectorAll('#explorer .mark-area path')].map((x) => x.getBBox())"
+        ".map(({y, height}) => [y, y + height])"
+    )
+    assert until(lambda: browser.execute_script(ends))
+    assert all(top >= -1 and bottom <= 381 for top, bottom in browser.execute_script(ends))  # the chart's height is 380
+
+
+def test_no_return_lies_outside_its_bounds():
+    curves = results_data.curves()
+    for task in curves["task"].unique():
+        low, high = results_data.bounds(task)
+        returns = curves.loc[curves["task"] == task, "mean"]
+        assert (low is None or returns.min() >= low) and (high is None or returns.max() <= high + 1e-6), task
+
+
+@pytest.mark.slow
+def test_each_number_has_an_address(site, browser):
+    names = re.findall(r'<td id="([^"]+)"', (site / "tables.html").read_text(encoding="utf-8"))
+    assert len(names) == len(set(names)) > 500
+    visit(browser, site / "tables.html", "#mpe-tag-qmix-shared-average")
+    cell = browser.find_element("css selector", "td:target")
+    place = browser.execute_script("return arguments[0].getBoundingClientRect().toJSON()", cell)
+    assert 0 < place["top"] < 1000 and 0 < place["left"] < 1400
+    assert "mpe-tag, the paper's prey" in cell.find_element("xpath", "..").text
+    browser.execute_script("arguments[0].click()", cell.find_element("css selector", "button"))
+    behind = cell.find_element("css selector", "[popover]")
+    first, second = behind.find_elements("css selector", "code")
+    assert first.text == results_data.OPPONENTS_COMMAND and "opponents/paper-tag.npz" in second.text
+    link = behind.find_elements("css selector", "a")[-1].get_attribute("href")
+    assert link.endswith("tables.html#mpe-tag-qmix-shared-average")
 
 
 @pytest.mark.slow
@@ -652,7 +790,7 @@ def test_search_finds(site, browser, words, page):
 
 def test_the_repository_is_linked_where_its_address_is_known(monkeypatch, tmp_path):
     """At any server. conf.py takes it from REPOSITORY_URL; without it no address is invented."""
-    (tmp_path / "index.md").write_text("# A page\n\n`<this repository>`\n", encoding="utf-8")
+    (tmp_path / "index.md").write_text("# A page\n\n```bash\ngit clone REPOSITORY_URL\n```\n", encoding="utf-8")
     address, links = "https://git.example.org/us/marl-baselines", {}
     for known in (address + "/", ""):
         monkeypatch.setenv("REPOSITORY_URL", known)
@@ -662,7 +800,7 @@ def test_the_repository_is_linked_where_its_address_is_known(monkeypatch, tmp_pa
         assert built.returncode == 0, built.stderr
         page = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
         links[known] = set(re.findall(r'href="(https://[^"]*marl-baselines[^"]*)"', page))
-        assert ("&lt;this" in page) != bool(known)
+        assert ("REPOSITORY_URL" in page) != bool(known)
     assert links.pop("") == set()
     [found] = links.values()
     assert found == {address, f"{address}/blob/main/docs/index.md", f"{address}/edit/main/docs/index.md"}

@@ -133,9 +133,14 @@ def check_program(path, words):
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
 def test_commands(words, tmp_path):
-    program, *rest = words
     if "..." in words or any(word.startswith("<") for word in words):
         pytest.skip("to be filled in by the reader")
+    check(words, tmp_path)
+
+
+def check(words, folder):
+    """A command does what it can do here in a short time; folder: one that is empty."""
+    program, *rest = words
     if program == "python" and rest[0].startswith("algos/"):
         check_script(rest[0].removeprefix("algos/").removesuffix(".py"), rest[1:])
     elif program == "python" and rest[0].startswith("benchmark/"):
@@ -144,8 +149,8 @@ def test_commands(words, tmp_path):
         assert all((ROOT / word).exists() for word in rest if word.startswith("tests/"))
     elif program == "python" and rest[:2] == ["-m", "envs"]:
         [meeting] = blocks(HOW_TO / "add-an-environment.md")
-        (tmp_path / "meeting.py").write_text(meeting)
-        done = run(*rest, folder=tmp_path)
+        (folder / "meeting.py").write_text(meeting)
+        done = run(*rest, folder=folder)
         assert done.returncode == 0, done.stderr
     elif program == "pip" and rest[:2] == ["install", "-e"]:
         extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]

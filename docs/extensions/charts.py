@@ -54,7 +54,7 @@ def steps_axis() -> alt.X:
 def curves_chart(height: int, legend: Literal["right", "bottom"] | None) -> dict:
     """Learning curves with intervals, the paper's maximum returns as rules; data and colours are still missing.
 
-    Data: "curves" with a algorithm, t timestep, m mean, l and h the ends of the interval, n seeds; "paper" with a and
+    Data: "curves" with a label, t timestep, m mean, l and h the ends of the interval, n seeds; "paper" with a and
     p, the paper's maximum return. With a legend, a click on it leaves one algorithm visible; with shift it adds one.
     The first layer has the intervals; charts.js leaves it out where there are none.
     """
@@ -98,9 +98,10 @@ def curves_chart(height: int, legend: Literal["right", "bottom"] | None) -> dict
     return specification(layers.properties(width="container", height=height))
 
 
-def curve(algorithm: str, table: pd.DataFrame) -> dict:
-    """One learning curve: a algorithm, n seeds, and by point t timestep, m mean, i interval."""
-    found = {"a": algorithm.upper(), "n": int(table["seeds"].max()), "t": [round(value) for value in table["timestep"]]}
+def curve(label: str, table: pd.DataFrame) -> dict:
+    """One learning curve: a label, b budget in timesteps, n seeds, and by point t timestep, m mean, i interval."""
+    found = {"a": label, "b": int(table["budget"].max()), "n": int(table["seeds"].max())}
+    found["t"] = [round(value) for value in table["timestep"]]
     found["m"] = [rounded(value) for value in table["mean"]]
     if table["interval"].notna().any():
         found["i"] = [rounded(value) for value in table["interval"]]
@@ -108,21 +109,26 @@ def curve(algorithm: str, table: pd.DataFrame) -> dict:
 
 
 def learning_curves(task: str, sharing: str, algorithms: Iterable[str], legend: bool = False) -> dict | None:
-    """A task's learning curves with their intervals and the paper's maximum returns; None where none is measured."""
+    """A task's learning curves with their intervals and the paper's maximum returns; None where none is measured.
+
+    A label is an algorithm's name, with a dagger where the budget is not the paper's; of these no maximum is shown.
+    """
     table = results_data.curves()
     table = table[(table["task"] == task) & (table["sharing"] == sharing)]
-    measured = [name for name in algorithms if name in set(table["algorithm"])]
-    if not measured:
+    tables = {name: table[table["algorithm"] == name] for name in algorithms if name in set(table["algorithm"])}
+    if not tables:
         return None
+    labels = {name: name.upper() + " †" * bool(own["other_budget"].any()) for name, own in tables.items()}
     maxima = results_data.paper_values("max_return")
     return {
         "kind": "curves-with-legend" if legend else "curves",
-        "colours": {name.upper(): results_data.colour(name) for name in measured},
-        "curves": [curve(name, table[table["algorithm"] == name]) for name in measured],
+        "bounds": results_data.bounds(task),
+        "colours": {label: results_data.colour(name) for name, label in labels.items()},
+        "curves": [curve(labels[name], own) for name, own in tables.items()],
         "paper": [
-            {"a": name.upper(), "p": rounded(maxima[task, name, sharing][0])}
-            for name in measured
-            if (task, name, sharing) in maxima
+            {"a": label, "p": rounded(maxima[task, name, sharing][0])}
+            for name, label in labels.items()
+            if (task, name, sharing) in maxima and "†" not in label
         ],
     }
 

@@ -37,9 +37,15 @@ def colour(algorithm: str) -> str:
     return COLOURS.get(algorithm, OTHER_COLOUR)
 
 
+def against(task: str) -> str:
+    """What the paper's row of a task adds to its name."""
+    return measures.against(task)
+
+
 @lru_cache
 def curves() -> pd.DataFrame:
-    """The learning curves that tables show: task, algorithm, sharing, point, timestep, mean, interval, seeds.
+    """The learning curves that tables show: task, algorithm, sharing, point, timestep, mean, interval, seeds, budget,
+    other_budget.
 
     interval: 2 s / sqrt(n) over n seeds; NaN for a single one.
     """
@@ -50,8 +56,23 @@ def curves() -> pd.DataFrame:
         mean=("return_mean", "mean"),
         deviation=("return_mean", "std"),
         seeds=("return_mean", "count"),
+        budget=("total_timesteps", "max"),
+        other_budget=("other_budget", "any"),
     )
     return table.assign(interval=measures.interval(table["deviation"], table["seeds"])).reset_index()
+
+
+def bounds(task: str) -> tuple[float | None, float | None]:
+    """The lowest and the highest return that an episode can have; None where the game has no such bound."""
+    family, name = task.split("-", 1)
+    if family == "matrix":
+        lowest, highest = (-30, 11) if name == "climbing" else (-int(name.removeprefix("penalty-")), 10)
+        return 25 * lowest, 25 * highest
+    if task in ("mpe-spread", "mpe-speaker-listener"):
+        return None, 0
+    if task == "mpe-adversary":
+        return None, None
+    return 0, 1 if family == "lbf" else None
 
 
 def seeds() -> pd.Series:
@@ -89,9 +110,13 @@ def tables_of_results() -> dict[tuple[str, str, str], tuple[Path, dict]]:
     return found
 
 
+# What must be run once before a command that names a file of this folder.
+OPPONENTS_COMMAND = "python examples/paper_opponents.py adv_params.pt prey_params.pt --output opponents"
+
+
 def campaign(algorithm: str, task: str, sharing: str, changed: dict, seeds: int) -> str:
     """The command that makes a cell. The paper's opponents, which results name by a fingerprint, are the files that
-    examples/paper_opponents.py makes."""
+    `OPPONENTS_COMMAND` makes."""
     words = [f"python benchmark/run.py --algorithms {algorithm} --tasks {task} --seeds {seeds}"]
     if sharing != store.SHARED:
         words.append(f"--sharing {sharing}")

@@ -35,9 +35,27 @@ def sharing(argument: str) -> str:
     return directives.choice(argument, tuple(WORDS))
 
 
+def task_name(task: str) -> str:
+    """A task in HTML, with the opponent's name where another than its own plays."""
+    return f"<code>{html.escape(task)}</code>{html.escape(results_data.against(task))}"
+
+
+def number(mean: float, interval: float) -> str:
+    """A mean, and smaller its interval, in HTML."""
+    value, sign, width = results_data.tables.number(mean, interval).partition(" ± ")
+    return value + (f' <span class="interval">± {width}</span>' if sign else "")
+
+
+# What the commands of rows against the paper's opponents need.
+FIRST = """<p>These runs play{against}, whose network is not part of this repository.
+<a href="{root}environments/mpe.html#the-papers-own-opponents">Where to get it</a>. This converts it, once:</p>
+<code>{command}</code><p>Then:</p>"""
+
+
 def text_of_cell(cell: Any, name: str, root: str) -> str:
-    """Our value, as a link to its CSV, and a button that shows the command behind it, with the paper's value below."""
-    value, signs = results_data.tables.number(cell.value, cell.interval), results_data.tables.signs(cell).strip()
+    """Our value, as a link to its CSV, and a button that shows the command behind it, with the paper's value below.
+    name: the cell's id."""
+    value, signs = number(cell.value, cell.interval), results_data.tables.signs(cell).strip()
     path, changed = results_data.tables_of_results()[cell.task, cell.algorithm, cell.sharing]
     file = f"{root}results/{path.parent.name}/{path.name}"
     seeds = int(results_data.seeds()[cell.task, cell.algorithm, cell.sharing])
@@ -45,18 +63,20 @@ def text_of_cell(cell: Any, name: str, root: str) -> str:
     best = ' class="best"' if cell.mark == "best" else ""
     theirs = ""
     if not pd.isna(cell.paper_mean):
-        theirs = f'<span class="paper">{results_data.tables.number(cell.paper_mean, cell.paper_interval)}</span>'
+        theirs = f'<span class="paper">{number(cell.paper_mean, cell.paper_interval)}</span>'
+    against = results_data.against(cell.task).replace(",", " against")
+    first = FIRST.format(against=against, root=root, command=results_data.OPPONENTS_COMMAND) if against else ""
     return (
         f'<a{best} href="{file}.csv">{value}</a>{signs} '
-        f'<button class="command" popovertarget="{name}">$</button>{theirs}'
-        f'<div class="behind" popover id="{name}"><code>{command}</code><br><a href="{file}.csv">CSV</a>, '
-        f'<a href="{file}.json">JSON</a></div>'
+        f'<button class="command" popovertarget="{name}-command">$</button>{theirs}'
+        f'<div class="behind" popover id="{name}-command">{first}<code>{command}</code><br>'
+        f'<a href="{file}.csv">CSV</a>, <a href="{file}.json">JSON</a>, <a href="#{name}">link to this number</a></div>'
     )
 
 
-def cell_name(task: str, algorithm: str, shared: str) -> str:
-    """The id of a cell of the tables of maximum returns."""
-    return f"{task}-{algorithm}-{shared}"
+def cell_name(metric: str, task: str, algorithm: str, shared: str) -> str:
+    """The id of a cell, which an address can name."""
+    return "-".join([task, algorithm, shared] + ["average"] * (metric == "average_return"))
 
 
 class Directive(SphinxDirective):
@@ -79,10 +99,10 @@ class Directive(SphinxDirective):
                 if cell is None:
                     columns.append("<td></td>")
                     continue
-                own = f'id="{cell_name(task, name, shared)}" ' if metric == "max_return" else ""
-                text = text_of_cell(cell, f"{metric}-{cell_name(task, name, shared)}", self.root())
-                columns.append(f'<td {own}data-value="{cell.value:.6g}">{text}</td>')
-            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
+                own = cell_name(metric, task, name, shared)
+                text = text_of_cell(cell, own, self.root())
+                columns.append(f'<td id="{own}" data-value="{cell.value:.6g}">{text}</td>')
+            rows.append(f'<tr><th scope="row">{task_name(task)}</th>{"".join(columns)}</tr>')
         if not rows:
             return ""
         head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
@@ -110,7 +130,7 @@ class Curves(Directive):
                 missing.append(task)
                 continue
             described = f"Learning curves on {task}, {WORDS[shared]}"
-            found.append(charts.figure(chart, f"<code>{html.escape(task)}</code>", described))
+            found.append(charts.figure(chart, task_name(task), described))
         text = f"Not measured yet: {', '.join(missing)}." if missing else ""
         return [charts.grid(found), *([nodes.paragraph(text, text)] if text else [])]
 
@@ -173,12 +193,12 @@ class SeedsMap(Directive):
                     title = f"{name.upper()}, {task}, {word}: seeds {seeds}{', another budget' if other else ''}"
                     content = f"{seeds}{mark}" if seeds else "·"
                     if seeds:
-                        link = f"{self.root()}tables.html#{cell_name(task, name, shared)}"
+                        link = f"{self.root()}tables.html#{cell_name('max_return', task, name, shared)}"
                         content = f'<a href="{link}">{content}</a>'
                     attributes = f'class="seeds" data-seeds="{min(seeds, 5)}" title="{html.escape(title)}"'
                     halves += f"<span {attributes}>{content}</span>"
                 columns.append(f"<td>{halves}</td>")
-            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
+            rows.append(f'<tr><th scope="row">{task_name(task)}</th>{"".join(columns)}</tr>')
         head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
         measured = int((last.reindex([key for key in last.index if key[0] in results_data.paper_tasks()]) > 0).sum())
         text = (
@@ -216,7 +236,13 @@ def write_data(static: Path) -> None:
     tasks = results_data.tables.in_order(curves["task"])
     families = {task: results_data.store.FAMILIES[results_data.store.family(task)] for task in tasks}
     write_script(static / "chart-kinds.js", "window.chartKinds", charts.kinds())
-    overview = {"families": families, "algorithms": algorithms()}
+    measured = curves.groupby("task")["sharing"].unique()
+    overview = {
+        "families": families,
+        "algorithms": algorithms(),
+        "names": {task: f"{task}{results_data.against(task)}" for task in tasks},
+        "sharings": {task: [sharing for sharing in WORDS if sharing in measured[task]] for task in tasks},
+    }
     write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
     (static / "explorer").mkdir(exist_ok=True)
     for task in tasks:

@@ -41,8 +41,10 @@
     if (chart.kind === "scalar") {
       return { ...specification, datasets: { scalar: chart.t.map((t, k) => ({ t, v: chart.v[k] })) } };
     }
+    const [lowest, highest] = [chart.bounds[0] ?? -Infinity, chart.bounds[1] ?? Infinity];
+    const band = (mean, half) => ({ l: Math.max(mean - half, lowest), h: Math.min(mean + half, highest) });
     const curves = chart.curves.flatMap(({ a, n, t, m, i }) =>
-      t.map((step, k) => ({ a, n, t: step, m: m[k], ...(i && { l: m[k] - i[k], h: m[k] + i[k] }) })),
+      t.map((step, k) => ({ a, n, t: step, m: m[k], ...(i && band(m[k], i[k])) })),
     );
     if (!chart.curves.some(({ i }) => i)) {
       specification.layer.shift(); // one seed each: there are no intervals
