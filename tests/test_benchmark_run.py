@@ -280,6 +280,7 @@ class TestPlan:
             (["--", "--eval-points", "1"], "--eval-points must be 2 or more"),
             (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
             (["--jobs", "0"], "must be positive"),
+            (["--seeds", "1", "2", "3"], "'2' belongs to no flag; --seeds is how many there are"),
             (["--plan", "nothing.csv"], "nothing.csv cannot be read"),
         ],
     )
@@ -794,7 +795,11 @@ class TestDryRun:
         self.results_of(monkeypatch, 3600)
         assert campaign(monkeypatch, "--seeds", 1, "--dry-run", "--", "--learning-rate", 2.0) == 0
         said = capsys.readouterr().out
-        assert "not known, the results have no such run" in said and "In all" not in said
+        assert "not known" in said and "In all" not in said and "in the results; one that is complete" in said
+            "not known" in said
+            and "In all" not in said
+            and "is in the results; one that is complete would tell" in said
+        )
         both = ["--algorithms", "ia2c", "mappo", "--seeds", 1]
         assert campaign(monkeypatch, *both, "--results", "own", "--runs", "own", "--dry-run") == 0
         said = capsys.readouterr().out
