@@ -796,10 +796,6 @@ class TestDryRun:
         assert campaign(monkeypatch, "--seeds", 1, "--dry-run", "--", "--learning-rate", 2.0) == 0
         said = capsys.readouterr().out
         assert "not known" in said and "In all" not in said and "in the results; one that is complete" in said
-            "not known" in said
-            and "In all" not in said
-            and "is in the results; one that is complete would tell" in said
-        )
         both = ["--algorithms", "ia2c", "mappo", "--seeds", 1]
         assert campaign(monkeypatch, *both, "--results", "own", "--runs", "own", "--dry-run") == 0
         said = capsys.readouterr().out
