@@ -1,6 +1,8 @@
 """What the READMEs and the pages of docs/how-to show works as it stands there."""
 
+import itertools
 import json
+import os
 import re
 import shlex
 import shutil
@@ -74,7 +76,7 @@ def test_an_environment_in_30_lines(tmp_path):
 # Commands
 # ---------------------------------------------------------------------------------------------------------------------
 
-BY_HAND = {"tensorboard", "sbatch", "git", "ray", "source", "cd", "head=$(hostname"}  # nothing here can try these
+BY_HAND = {".", "tensorboard", "sbatch", "git", "ray", "source", "cd", "head=$(hostname"}  # nothing here can try these
 
 
 def commands():
@@ -89,8 +91,9 @@ def commands():
             if inner := re.search(r"(?:cd marl-baselines && |-- +)(python benchmark/[^']*)", line):
                 line = inner[1]  # what a cluster is told to run
             words = shlex.split(line, comments=True)
-            if words and words not in found:
-                found.append(words)
+            for together, own in itertools.groupby(words, "&&".__eq__):
+                if not together and (command := [*own]) not in found:
+                    found.append(command)
     return found
 
 
@@ -159,6 +162,28 @@ def check(words, folder):
         assert all((ROOT / word).exists() for word in rest if word.startswith("algos/") and "mine" not in word)
     else:
         assert program in BY_HAND or words[:2] == ["pip", "install"], "nobody tries this command"
+
+
+@pytest.mark.slow
+def test_the_two_lines_set_everything_up(tmp_path):
+    """As they stand there, but for the index with PyTorch's build. That the packages are here already spares pip to
+    fetch them. The training is short, and there is one test; .ci/run has the whole line with all packages."""
+    for folder in ("algos", "envs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "tests").mkdir()
+    for file in ("pyproject.toml", "README.md", "LICENSE", "tests/conftest.py"):
+        shutil.copy(ROOT / file, tmp_path / file)
+    (tmp_path / "tests" / "test_task.py").write_text(
+        "import envs\n\n\ndef test_task():\n    envs.make('lbf-5x5-2p-1f')\n"
+    )
+    lines = re.findall("^    (python -m venv .*)", README, flags=re.MULTILINE)
+    paths = os.pathsep.join(path for path in sys.path if "site-packages" in path)
+    for line, shown in zip(lines, ("return_mean", " passed"), strict=True):
+        line = line.replace("--extra-index-url https://download.pytorch.org/whl/cpu ", "").replace("400000", "4000")
+        variables = os.environ | {"PIP_NO_DEPS": "1", "PYTHONPATH": paths}
+        done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=variables, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert shown in done.stdout + done.stderr and (tmp_path / ".venv").exists()
 
 
 @pytest.mark.slow
