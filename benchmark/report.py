@@ -40,16 +40,20 @@ from matplotlib.figure import Figure
 from benchmark import agreement, claims, measures, plan, plots, tables
 from benchmark.measures import in_tables, our_cells
 from benchmark.store import (
+    ALGORITHMS,
     FAMILIES,
     HERE,
     KEY,
     PAPER_CPU_HOURS,
+    PAPER_FAMILIES,
     PAPER_RUNS,
+    PAPER_SEEDS,
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
     load,
     paper_cells,
+    paper_task,
     speeds,
 )
 from envs import InputError, runs
@@ -104,6 +108,48 @@ class Report:
             made["speed"] = partial(plots.simulation_speed, self.speeds)
         return made
 
+    def seeds_of_cells(self) -> pd.Series:
+        """The seeds of each cell of the paper's tables that we have, by family, sharing, task and algorithm."""
+        shown = self.shown[~self.shown["other_budget"] & self.shown["algorithm"].isin(ALGORITHMS)]
+        shown = shown[shown["task"].map(paper_task).isin(self.paper["task"])]
+        return shown.groupby(["family", "sharing", "task", "algorithm"])["seed"].nunique()
+
+    def coverage(self) -> str:
+        """How much of the paper's tables was run, and of what there is nothing."""
+        cells = self.seeds_of_cells()
+        stand_ins = cells[[paper_task(task) != task for task in cells.index.get_level_values("task")]]
+        there = {(name, sharing) for name, sharing, _, _ in cells.index}
+        nothing = []
+        for sharing, words in plots.SHARING.items():
+            absent = [title for name, title in PAPER_FAMILIES.items() if (name, sharing) not in there]
+            nothing += [f"{words} of {', '.join(absent)}"] if absent else []
+        runs = cells.clip(upper=PAPER_SEEDS)
+        parts = [
+            f"The paper's tables have {PAPER_RUNS // PAPER_SEEDS} cells of five runs each, {PAPER_RUNS:,} in all. Of "
+            f"these cells {len(cells) - len(stand_ins)} were run here, with "
+            f"{runs.sum() - runs[stand_ins.index].sum()} runs; {len(stand_ins)} more, with "
+            f"{runs[stand_ins.index].sum()} runs, are of games that stand in for SMAC's."
+        ]
+        return " ".join([*parts, *([f"Nothing was run {'; '.join(nothing)}."] if nothing else [])])
+
+    def coverage_table(self) -> str:
+        """The same by family and sharing, with the number of seeds."""
+        cells, body = self.seeds_of_cells(), []
+        for (name, title), (sharing, words) in itertools.product(PAPER_FAMILIES.items(), plots.SHARING.items()):
+            seeds = cells[[row[:2] == (name, sharing) for row in cells.index]]
+            whole = len(claims.SETS[name]) * len(ALGORITHMS)
+            stand_ins = any(paper_task(task) != task for _, _, task, _ in seeds.index)
+            counts = ", ".join(f"{number} with {n}" for n, number in sorted(Counter(seeds).items()))
+            body.append(
+                [
+                    "The stand-ins of " * stand_ins + f"{title}, {words}",
+                    f"{len(seeds)} of {whole}",
+                    f"{seeds.clip(upper=PAPER_SEEDS).sum()} of {whole * PAPER_SEEDS}",
+                    counts or "-",
+                ]
+            )
+        return tables.to_markdown(["", "cells", "runs", "cells by number of seeds"], body)
+
     def counted_of(self, chosen: Any) -> pd.DataFrame:
         """The counted cells, made of these rows of the evaluations that the tables show."""
         cells = our_cells(self.shown[chosen].drop(columns="other_budget"))
@@ -124,9 +170,10 @@ class Report:
         ]
         if self.planned:
             parts += [
-                f"With each cell cut to the seeds that are planned for its row, {said(self.counted_planned)} agree"
-                f"{self.incomplete_rows()}. With all seeds {said(self.counted)} agree. The last figure is too good: "
-                "before there was a plan, cells that did not agree got more seeds until they did."
+                f"With each cell cut to the seeds that are planned for its row, {said(self.counted_planned)} agree, "
+                f"and with all seeds {said(self.counted)}.",
+                "The last figure is too good: before there was a plan, cells that did not agree got more seeds until "
+                f"they did.{self.incomplete_rows()}",
             ]
         elif (self.counted["seeds"] > 1).any():
             parts += [f"With all seeds {said(self.counted)} agree."]
@@ -138,16 +185,13 @@ class Report:
         return " ".join(parts)
 
     def incomplete_rows(self) -> str:
-        """That in some rows with several planned seeds it is still chosen which cells have them."""
+        """That some rows with several planned seeds have them only in cells that were chosen so."""
         rows = [row for row, seeds in self.planned.items() if seeds > 1 and not row[0].startswith("matrix")]
         there = self.shown.groupby(["task", "sharing", "algorithm"])["seed"].nunique()
         least = there.groupby(["task", "sharing"]).min()
         number = sum(least.get(row, 0) < self.planned[row] for row in rows)
-        if not number:
-            return ""
-        return (
-            f"; {number} of the {len(rows)} rows with more than one are not complete yet, and have the next one's fault"
-        )
+        of_rows = f" {number} of the {len(rows)} rows with several planned seeds are not complete yet"
+        return f"{of_rows}, so the second one is, too." if number else ""
 
     def agreement_table(self) -> str:
         """How many of our values agree with the paper's, by family and sharing; and the test's false alarms."""
@@ -332,7 +376,7 @@ class Report:
         parts = ["# Results", "Made by `python benchmark/report.py`."]
         parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
         if len(self.compared):
-            parts.append(self.agreement_table())
+            parts += [self.agreement_table(), "## What was run", self.coverage(), self.coverage_table()]
         parts += ["## Tables", tables.LEGEND, *titled_tables(self.both)]
         if len(self.compared):
             parts += ["### Where we do not agree with the paper", self.differences()]
@@ -378,11 +422,11 @@ AGREEMENT_WORDS = """\
 The test: for one seed of ours the interval has the spread of the paper's five, for several the spread of ours and
 theirs together, and Student's t with 4, or 3 more than our seeds, degrees of freedom. False alarms: how many runs that
 are as the paper's it would reject, by simulation. An interval printed as 0.00 counts as 0.005. Placebo: how many values
-of another of our algorithms on the same task would agree with the paper's; where it is high, the test
-sees little. In the matrix games the off-policy cells have, by the same seeds of PyTorch, the very networks that the
-paper's runs began with, and often its values to the last digit: they are no independent replication. Left out are
-{left_out} cells in which nothing can differ: both intervals are printed as 0.00, or both values are the most that the
-game can return."""
+of another of our algorithms on the same task would agree with the paper's; where it is high, the test sees little. In
+the matrix games the cells of IQL, VDN and QMIX have, by the same seeds of PyTorch, the very networks that the paper's
+runs began with, and often its values to the last digit: they are no independent replication. Left out are {left_out}
+cells in which nothing can differ: both intervals are printed as 0.00, or both values are the most that the game can
+return."""
 
 
 MAXIMA_WORDS = """\

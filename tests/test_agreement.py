@@ -182,8 +182,7 @@ def test_the_report_says_what_agrees(committed):
         own = counted[counted["apart"] == ""]
         found.append((agreement.numbers(own["agrees"]), agreement.numbers(counted["agrees"])))
     assert said.startswith(f"With seed 0 alone, {found[0][0]} of our average and maximum returns agree")
-    assert f"planned for its row, {found[1][0]} agree" in said
-    assert f"With all seeds {found[2][0]} agree. The last figure is too good" in said
+    assert f"planned for its row, {found[1][0]} agree, and with all seeds {found[2][0]}. The last figure" in said
     assert f"with these two, {found[0][1]} agree with seed 0, and {found[2][1]} with all." in said
 
 
@@ -210,3 +209,44 @@ def test_tables_by_family(committed):
     assert first[column] == next(line[1] for line in lines if line[0].startswith("| RWARE"))
     assert planned[column] == agreement.numbers(chosen["agrees"])
     assert others[column] == agreement.percent(agreement.placebo(chosen)["agrees"])
+
+
+def test_what_was_run_of_the_papers_tables(committed):
+    """Counted from the evaluations of all runs."""
+    said, runs = committed.coverage(), committed.evaluations
+    runs = runs[measures.has_paper_setting(runs)][["task", "sharing", "algorithm", "seed"]].drop_duplicates()
+    stand_ins = runs["task"].str.startswith("smaclite")
+    for chosen, words in ((~stand_ins, "cells {} were run here, with {} runs"), (stand_ins, "{} more, with {} runs")):
+        cells = runs[chosen & (runs["seed"] < 5)]
+        number = len(cells[["task", "sharing", "algorithm"]].drop_duplicates())
+        assert words.format(number, len(cells)) in said
+    assert "have 450 cells of five runs each, 2,250 in all" in said
+    assert said.endswith("Nothing was run without parameter sharing of SMAC, LBF, RWARE.")
+    lines = committed.coverage_table().splitlines()
+    assert len(lines) == 12 and lines[-1] == "| RWARE, without parameter sharing | 0 of 27 | 0 of 135 | - |"
+
+
+# ---------------------------------------------------------------------------------------------------- sentences
+
+
+def test_sentences_of_the_pages_that_new_results_may_change(committed):
+    """Each stands in docs/paper-run-again.md or a page of docs/paper-run-again/, which is to be read when it fails."""
+    page = store.HERE.parent / "docs" / "paper-run-again"
+    counted = committed.counted
+    outside = counted[~counted["agrees"]]
+
+    def where(algorithm, sharing="shared"):
+        rows = outside[(outside["algorithm"] == algorithm) & (outside["sharing"] == sharing)]
+        return {task for task in rows["task"] if not task.startswith("matrix")}
+
+    foraging = {"lbf-8x8-2p-2f-c", "lbf-8x8-2p-2f-2s-c", "lbf-10x10-3p-3f"}
+    assert {task for task in where("maddpg") if task.startswith("lbf")} == foraging, page / "maddpg.md"
+    assert not where("maddpg") & {"mpe-spread", "mpe-speaker-listener"}, page / "maddpg.md"
+    assert "mpe-speaker-listener" not in where("maa2c"), page / "speaker-listener.md"
+    assert "mpe-speaker-listener" not in where("ia2c", "independent"), page / "speaker-listener.md"
+    assert {name for name in store.ALGORITHMS if "mpe-tag" in where(name, "independent")} == {"maddpg"}
+    assert where("ia2c") - {"smaclite-3s_vs_5z-sc2", "smaclite-2s_vs_1sc-sc2"} == {"rware-small-4p"}
+    first = committed.shown[(committed.shown["task"] == "mpe-tag") & (committed.shown["seed"] == 0)]
+    own = first[first["sharing"] == "shared"].groupby("algorithm")["return_mean"].mean()
+    paper = committed.paper.set_index(["metric", "sharing", "task"]).loc[("average_return", "shared", "mpe-tag")]
+    assert (own > paper.set_index("algorithm")["mean"].reindex(own.index)).sum() == 7, page / "adversary-and-tag.md"

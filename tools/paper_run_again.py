@@ -1,4 +1,4 @@
-"""The figures of the page "The paper, run again", from the paper's tables, benchmark/results and what is tested.
+"""The figures of the pages "The paper, run again", from the paper's tables, benchmark/results and what is tested.
 
     python tools/paper_run_again.py opponents
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
@@ -7,11 +7,11 @@
     python tools/paper_run_again.py fall [<an update of MAPPO that was saved as the page says>]
     python tools/paper_run_again.py page
 
-The last one writes the figures of all parts into docs/paper-run-again.md, as after new results; read the page's
-sentences then, too. `PARTS` at the end lists the parts. Probes of the paper's networks need its files, which are not in
-this repository; examples/paper_opponents.py converts them.
+The last one writes the figures of all parts into docs/paper-run-again.md and the pages of docs/paper-run-again/, as
+after new results; read their sentences then, too. `PARTS` at the end lists the parts. Probes of the paper's networks
+need its files, which are not in this repository; examples/paper_opponents.py converts them.
 
-A test holds the page's figures against what this prints.
+A test holds the pages' figures against what this prints.
 """
 
 import contextlib
@@ -30,7 +30,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import fisher_exact, ttest_ind_from_stats
+from scipy.stats import binomtest, fisher_exact, ttest_ind_from_stats
+from scipy.stats import f as f_distribution
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -41,10 +42,10 @@ from benchmark import agreement, claims, store, tables
 from benchmark.measures import interval, our_cells, paper_setting
 from benchmark.plan import script
 from benchmark.report import Report
-from benchmark.store import FAMILIES, INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
+from benchmark.store import INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "paper-run-again.md"
+PAGES = [ROOT / "docs" / "paper-run-again.md", *sorted((ROOT / "docs" / "paper-run-again").glob("*.md"))]
 ABLATIONS = ROOT / "benchmark" / "ablations"
 ON_POLICY = ["ia2c", "ippo", "coma", "maa2c", "mappo"]
 OFF_POLICY = ["iql", "vdn", "qmix", "maddpg"]
@@ -84,16 +85,47 @@ def paper(metric: str) -> dict[tuple[str, str, str], tuple[float, float]]:
     return dict(zip(keys, cells[["mean", "interval"]].itertuples(index=False, name=None)))
 
 
-def seeds() -> None:
-    """How many cells have how many seeds, by family and sharing."""
-    for words, shown in (("", report().shown), (", against our own opponents", report().against_own)):
-        cells = shown[~shown["other_budget"]].groupby(["family", "sharing", "task", "algorithm"])
-        table = cells["seed"].nunique()
-        for name, sharing in itertools.product(FAMILIES, SHARING):
-            cells = table[(table.index.get_level_values(0) == name) & (table.index.get_level_values(1) == sharing)]
-            if len(cells):
-                number = ", ".join(f"{count} with {n}" for n, count in sorted(Counter(cells).items()))
-                print(f"{FAMILIES[name]}, {SHARING[sharing]}{words}: {len(cells)} cells, {number}; {cells.sum()} runs")
+def departures() -> None:
+    """The hyperparameters that are not those that the paper prints."""
+    table = pd.read_csv(store.PAPER / "hyperparameters.csv", dtype=str).dropna(subset=["printed"])
+    for row in table[table["name"] == "learning_rate"].itertuples():
+        sharing = SHARING[SHARED if row.parameter_sharing == "yes" else INDEPENDENT]
+        print(f"{row.algorithm}, {row.family}, {sharing}: learning rate {row.value}, printed {row.printed}")
+
+
+def new_seeds() -> None:
+    """The test that was planned before the new seeds were run: on which side of the paper's values those of seeds 1 to
+    4 lie, without seed 0, in the rows where those of seed 0 lay on one side. It waits until all its cells are there."""
+    for title, tasks, metric in (
+        ("Tag, against the paper's prey, averages", ("mpe-tag",), "average_return"),
+        ("RWARE, maxima", claims.SETS["rware"], "max_return"),
+    ):
+        cells = {key: ours(*key) for key in itertools.product(tasks, ON_POLICY + OFF_POLICY)}
+        there = [curve for curve in cells.values() if {1, 2, 3, 4} <= {*curve.columns}]
+        if len(there) < len(cells):
+            print(f"{title}: seeds 1 to 4 are there in {len(there)} of {len(cells)} cells; the test waits for all")
+            continue
+        for chosen in ([0], [1], [2], [3], [4], [1, 2, 3, 4]):
+            above = agrees = 0
+            for (task, algorithm), curve in cells.items():
+                mean, error = paper(metric)[task, algorithm, SHARED]
+                own, deviation = value(curve[chosen], metric)
+                above += own > mean
+                agrees += abs(own - mean) <= agreement.half_width(interval(deviation, len(chosen)), len(chosen), error)
+            number = f"{above} of {len(cells)} above the paper's, {agrees} agree"
+            if len(chosen) == 1:
+                print(f"{title}, seed {chosen[0]}: {number}")
+                continue
+            p = binomtest(above, len(cells)).pvalue
+            print(f"{title}, seeds 1 to 4 alone: {number}; sign test, as if cells were independent: p = {p:.2f}")
+
+
+def value(curve: pd.DataFrame, metric: str) -> tuple[float, float]:
+    """The average or the maximum of curves [point, seed], and its standard deviation over seeds."""
+    if metric == "average_return":
+        return curve.mean().mean(), curve.mean().std()
+    best = curve.mean(axis="columns").idxmax()
+    return curve.loc[best].mean(), curve.loc[best].std()
 
 
 def updates() -> None:
@@ -139,7 +171,7 @@ def length() -> None:
     """Average returns of the matrix games beside the paper's, if only the first points count."""
     theirs = paper("average_return")
     for name, algorithms in (("on-policy", ON_POLICY), ("off-policy", OFF_POLICY)):
-        for points in (101, 90, 84, 80):
+        for points in (101, 90, 87, 86, 84, 83, 82):
             differences = []
             for key in itertools.product(MATRIX, algorithms, SHARING):
                 mean, error = theirs[key]
@@ -164,6 +196,14 @@ def climbing() -> None:
             if abs(np.mean(chosen) - 175) < 0.01 and abs(interval(np.std(chosen, ddof=1), 5) - 54.77) < 0.01:
                 found.append(chosen)
         print(f"{name}: {', '.join(map(str, found)) or 'none'}")
+    for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
+        last = sorted({round(x) for sharing in SHARING for x in ours("matrix-climbing", algorithm, sharing).iloc[-1]})
+        maxima = [
+            "{:.2f} ± {:.2f}".format(*paper("max_return")["matrix-climbing", algorithm, sharing]) for sharing in SHARING
+        ]
+        print(
+            f"{algorithm}: the paper's maxima {' and '.join(maxima)}; our ten runs end at {', '.join(map(str, last))}"
+        )
 
 
 def untrained() -> None:
@@ -232,16 +272,18 @@ def papers(task: str, algorithm: str, sharing: str = SHARED) -> str:
     return f"the paper {maximum:.2f} ± {error:.2f}, {average:.2f} ± {its_error:.2f}"
 
 
+def which_agree(counted: pd.DataFrame, task: str, algorithm: str, sharing: str) -> str:
+    """Whether average and maximum of a cell agree with the paper's; those that are not counted have no target."""
+    cells = counted[(counted["task"] == task) & (counted["algorithm"] == algorithm) & (counted["sharing"] == sharing)]
+    agree = {*cells.loc[cells["agrees"], "metric"]}
+    names = [name.split()[0] for metric, name in agreement.METRICS.items() if metric in agree]
+    return f"agrees: {' and '.join(names) or 'neither'}" if len(cells) else "no target"
+
+
 def maddpg(evaluations: pd.DataFrame, counted: pd.DataFrame, task: str, sharing: str = SHARED) -> str:
     """These evaluations of MADDPG on a task, beside the paper's, and which of the two cells agree."""
-    cells = counted[(counted["task"] == task) & (counted["algorithm"] == "maddpg") & (counted["sharing"] == sharing)]
-    agree = [
-        name.split()[0]
-        for metric, name in agreement.METRICS.items()
-        if metric in {*cells.loc[cells["agrees"], "metric"]}
-    ]
-    said = f"agrees: {' and '.join(agree) or 'neither'}" if len(cells) else "no target"
     here, theirs = beside_the_paper(evaluations, task, "maddpg", sharing), papers(task, "maddpg", sharing)
+    said = which_agree(counted, task, "maddpg", sharing)
     return f"{task}{'' if sharing == SHARED else ', without sharing'}: {here}; {theirs}; {said}"
 
 
@@ -273,6 +315,17 @@ def opponents() -> None:
             if len(curves(evaluations, task, algorithm)):
                 found.append(f"against {whose} opponent {beside_the_paper(evaluations, task, algorithm)}")
         print(f"{task}, {algorithm}: {'; '.join(found)}")
+    for task in TRAINED_AGAINST:
+        own = {name: curves(report().against_own, task, name).mean().mean() for name in ON_POLICY + OFF_POLICY}
+        more = {name: own[name] - paper("average_return")[task, name, SHARED][0] for name in own}
+        above = [difference for difference in more.values() if difference > 0]
+        counted = report().counted
+        counted = counted[(counted["task"] == task) & (counted["sharing"] == SHARED)]
+        print(
+            f"{task}: against our opponent {len(above)} of {len(own)} averages are above the paper's, by "
+            f"{min(above):.1f} to {max(above):.1f}; against its opponent {agreement.numbers(counted['agrees'])} "
+            "averages and maxima agree"
+        )
 
 
 def unshared() -> None:
@@ -280,7 +333,8 @@ def unshared() -> None:
     for algorithm in ON_POLICY + OFF_POLICY:
         if len(ours("mpe-tag", algorithm, INDEPENDENT)):
             here = beside_the_paper(report().shown, "mpe-tag", algorithm, INDEPENDENT)
-            print(f"{algorithm}: {papers('mpe-tag', algorithm, INDEPENDENT)}; ours: {here}")
+            said = which_agree(report().counted, "mpe-tag", algorithm, INDEPENDENT)
+            print(f"{algorithm}: {papers('mpe-tag', algorithm, INDEPENDENT)}; ours: {here}; {said}")
 
 
 def probes(*files: str) -> None:
@@ -322,10 +376,34 @@ def words(*directories: str) -> None:
     number = len(ours("mpe-speaker-listener", "maa2c").columns)
     p = fisher_exact([[stayed, number - stayed], [0, PAPER_SEEDS]]).pvalue
     print(f"maa2c: {stayed} of {number} stayed for ten million steps; if none of the paper's five did, p = {p:.2f}")
+    for algorithm, sharing in (("maa2c", SHARED), ("ia2c", INDEPENDENT)):
+        print(f"{algorithm}, {SHARING[sharing]}: {with_more_seeds('mpe-speaker-listener', algorithm, sharing)}")
     for algorithm in ("ippo", "ia2c"):
         mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
         x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
         print(f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}")
+
+
+def with_more_seeds(task: str, algorithm: str, sharing: str) -> str:
+    """Whether a cell agrees with the paper's by its first seeds, and how its spread over seeds compares (F-test)."""
+    curve = ours(task, algorithm, sharing)
+    parts = []
+    for metric, name in agreement.METRICS.items():
+        mean, error = paper(metric)[task, algorithm, sharing]
+        found = []
+        for number in range(1, len(curve.columns) + 1):
+            own, deviation = value(curve.iloc[:, :number], metric)
+            width = agreement.half_width(interval(deviation, number), number, error)
+            found.append("yes" if abs(own - mean) <= width else "no")
+        ratio, number = deviation / (error * np.sqrt(PAPER_SEEDS) / 2), len(curve.columns)
+        f_test = f_distribution(number - 1, PAPER_SEEDS - 1)
+        p = 2 * min(f_test.sf(ratio**2), f_test.cdf(ratio**2))
+        parts.append(
+            f"{name.split()[0]} {own:.2f} ± {interval(deviation, number):.2f}, the paper {mean:.2f} ± {error:.2f}, "
+            f"agrees with the first 1 to {number} seeds: {', '.join(found)}; spread {ratio:.1f} times the paper's, "
+            f"p = {p:.4f}"
+        )
+    return "; ".join(parts)
 
 
 def told(words: int) -> float:
@@ -586,14 +664,14 @@ def parted() -> None:
 PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
-        *(seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged, padding, ends),
-        *(standardised, opponents, unshared, probes, words, flight, certain, fall, parted),
+        *(departures, new_seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged),
+        *(padding, ends, standardised, opponents, unshared, probes, words, flight, certain, fall, parted),
     )
 }
 
 
 def filled(page: str) -> str:
-    """The page with the present figures of all its parts."""
+    """A page with the present figures of all its parts."""
 
     def block(shown: re.Match[str]) -> str:
         printed = io.StringIO()
@@ -607,7 +685,8 @@ def filled(page: str) -> str:
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["page"]:
-        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+        for page in PAGES:
+            page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
         sys.exit()
     if (
         len(sys.argv) < 2

@@ -219,6 +219,8 @@ class ReportText(Directive):
     def run(self) -> list[nodes.Node]:
         report = results_data.report()
         text = {
+            "coverage": report.coverage,
+            "coverage-table": report.coverage_table,
             "agreement": report.agreement,
             "agreement-by-family": report.agreement_table,
             "disagreements": report.differences,
@@ -284,7 +286,7 @@ def setup(app: Sphinx) -> dict:
     app.add_directive("results-table", ResultsTable)
     app.add_directive("claims", Claims)
     app.add_directive("seeds-map", SeedsMap)
-    for name in ("agreement", "agreement-by-family", "disagreements", "cpu-hours"):
+    for name in ("coverage", "coverage-table", "agreement", "agreement-by-family", "disagreements", "cpu-hours"):
         app.add_directive(name, ReportText)
     app.connect("html-page-context", add_explorer)
     app.connect("build-finished", write_files)
