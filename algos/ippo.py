@@ -1,4 +1,6 @@
-# docs/algorithms/ippo.md explains every line. benchmark/RESULTS.md has curves and tables.
+# docs/algorithms/ippo.md has remarks on this code; benchmark/RESULTS.md has curves and tables.
+# With seed 0, lbf-15x15-3p-5f ends at a return of 0.84 (the most is 1) after 20 million steps and
+# 16 minutes of one core.
 """IPPO: independent proximal policy optimisation.
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
@@ -17,31 +19,25 @@ follow every step of V.
     L(actor)  = - mean over agents and steps of
                 [ min(rho_i,t A_i,t, clip(rho_i,t, 1 - c, 1 + c) A_i,t) + e H(pi_i) ]
 
-r is the team's reward, G the n-step return, A the advantage, H the entropy, e --entropy-coef. Where
-the episode ends before t + n, G has the rewards up to there, plus V' of the last state after a
-time-out, and nothing after a real end. With --individual-rewards r is agent i's own,
-standardised by its own mean.
+r is the team's reward (with --individual-rewards agent i's own), standardised if
+--reward-standardisation. G is the n-step return, A the advantage, H the entropy, e --entropy-coef.
+If the episode ends k <= n steps after t, G has these k rewards; after a time-out gamma^k V' of the
+state after them is added, and after a real end nothing.
 With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
 pi_old is the policy that gathered the experience, and c is --clip-coef.
 
 Algorithm: the PPO of Schulman et al. (2017) for each agent, as in De Witt et al., "Is Independent
 Learning All You Need in the StarCraft Multi-Agent Challenge?" (2020).
-Unlike there and in most codes of PPO, but as in the next paper, there is no GAE, there are no
-minibatches, and neither advantages nor values are normalised or clipped.
+Unlike there and in most codes of PPO, but as in Papoudakis et al. (below), there is no GAE, there
+are no minibatches, and neither advantages nor values are normalised or clipped.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
-in Cooperative Tasks" (2021). Their code, EPyMARL (July 2021), differs in two points. It replaced
-the rewards of a batch's last step by values; here they stay, and after a time-out the value of the
-next state is added. It also counted padding, the rows after an episode's end, when it standardised
-rewards.
-
-With seed 0, lbf-15x15-3p-5f ends at a return of 0.84 (the most is 1) after 20 million steps and 16
-minutes of one core.
+in Cooperative Tasks" (2021). docs/algorithms/ippo.md says where their code, EPyMARL, differs.
 
     python algos/ippo.py --env lbf-15x15-3p-5f
     python algos/ippo.py --watch runs/lbf-15x15-3p-5f/ippo-shared/seed0
 """
 
-from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
+from envs import VectorEnv, runs  # before PyTorch, which is faster on AMD processors then
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -52,7 +48,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-# What the paper's search chose for each family of tasks, with and without parameter sharing.
+# Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "on_policy_timesteps"  # this field of a Task, see envs/tasks.py
 PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
@@ -69,43 +65,39 @@ PAPER = {
     ("lbf", "independent"):    (128, 0.0001, False,  "gru", 0.001,  "hard", 5),
     ("rware", "shared"):       (128, 0.0005, False,  "gru", 0.001,  "soft", 10),
     ("rware", "independent"):  (128, 0.0005, False,  "fc",  0.001,  "soft", 10),
+    ("other", "shared"):       (128, 0.0005, False,  "fc",  0.001,  "soft", 5),
+    ("other", "independent"):  (128, 0.0005, False,  "fc",  0.001,  "soft", 5),
 }  # fmt: skip
-OTHER = (128, 0.0005, False, "fc", 0.001, "soft", 5)  # our choice for all other families
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Args(runs.Flags):
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     seed: int = 0  # decides the first weights, the episodes and all that is drawn
-    total_timesteps: int = 20_000_000  # length of the training; steps of all environments count
+    total_timesteps: int  # from the task: length of the training, in steps of all environments
     num_envs: int = 10  # environments side by side; a batch is one episode of each
     time_limit: Literal["bootstrap", "terminal"] = "bootstrap"  # after a time-out: a value, or 0
     individual_rewards: bool = False  # each agent learns from its own reward, not from the team's
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
-    network: Literal["fc", "gru"] = "fc"  # the core of the actors; a critic's core is always fc
-    hidden_dim: int = 128  # width of all layers
+    network: Literal["fc", "gru"]  # from PAPER: the actors' core; a critic's is always fc
+    hidden_dim: int  # from PAPER: width of all layers
     # learning
-    learning_rate: float = 0.0003  # of Adam, for actor and critic
+    learning_rate: float  # from PAPER: of Adam, for actor and critic
     gamma: float = 0.99  # discount
-    n_step: int = 5  # rewards in a return before it continues with a value
-    entropy_coef: float = 0.001  # weight of the policies' entropy
+    n_step: int  # from PAPER: rewards in a return before it continues with a value
+    entropy_coef: float  # from PAPER: weight of the policies' entropy
     update_epochs: int = 4  # passes over a batch
     clip_coef: float = 0.2  # a ratio of probabilities gains nothing beyond 1 +- this
     max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
-    target_update: Literal["hard", "soft"] = "hard"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: bool = False  # to mean 0 and deviation 1 in each batch
+    target_update: Literal["hard", "soft"]  # from PAPER: a copy every 200 updates, or 1 % each
+    reward_standardisation: bool  # from PAPER: to mean 0 and deviation 1 in each batch
 
 
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
-    task = tasks.task(env)
-    table = task.family, "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
-    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
-    chosen["eval_points"] = task.eval_points
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
+    """The flags for a task. Those without a value in Args get PAPER's and the task's."""
+    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -114,7 +106,7 @@ class Network(nn.Module):
 
     Where agents share a network, the input of agent i ends with its one-hot id. But since
     W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, it is enough to add a column of the weights. For
-    large states this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
+    critics of a large state this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
@@ -155,13 +147,10 @@ class MultiAgentNetwork(nn.Module):
         """x, hidden -> output, hidden as in Network; here hidden has one entry for each network."""
         n = len(self.networks)
         inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
-        outputs, new_hidden = [], []
-        for i, network in enumerate(self.networks):
-            output, state = network(inputs[i], hidden[i] if hidden else None)
-            outputs.append(output)
-            new_hidden.append(state)
-        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
-        return output, new_hidden
+        memories = hidden or [None] * n
+        results = [self.networks[i](inputs[i], memories[i]) for i in range(n)]
+        outputs, new_hidden = zip(*results)
+        return torch.cat(outputs, dim=2), list(new_hidden)
 
 
 # --- maths ---
@@ -171,9 +160,8 @@ def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
-    mean = sample.mean(0)
-    variance = (sample - mean).square().sum(0) / max(len(sample) - 1, 1)
-    return (rewards - mean.to(rewards)) / (variance.sqrt() + 1e-5).to(rewards)
+    std, mean = torch.std_mean(sample, 0, correction=min(len(sample) - 1, 1))
+    return (rewards - mean.to(rewards)) / (std + 1e-5).to(rewards)
 
 
 def n_step_returns(
@@ -181,13 +169,14 @@ def n_step_returns(
 ) -> Tensor:
     """The discounted sum of the next n rewards, plus the discounted value of the state after them.
 
+    G of 0 steps is the value V'; G of k + 1 steps is the reward plus gamma G of k steps, one later.
     Where fewer than n are left, the value is that of the last state; or 0, if the game was over.
     rewards: [time, env, 1 or agent]; values: [time + 1, env, agent], of all states, also of the one
     after the last step; played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
     values = values.clone()
     values[1:].masked_fill_(no_bootstrap.unsqueeze(-1), 0.0)  # of states after a real end
-    returns = values  # those of 0 steps; each round of the loop makes them one step longer
+    returns = values  # of 0 steps; each round of the loop makes them one step longer
     for _ in range(min(n, len(rewards))):
         longer = rewards + gamma * returns[1:]
         # Beyond the end the value stays, so that a return which reaches the end continues with it.
@@ -210,7 +199,7 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
+    The largest of logits plus Gumbel noise is such a draw. -log(exponential noise) is Gumbel noise.
     """
     gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)
@@ -221,7 +210,7 @@ class Batch(NamedTuple):
     """Whole episodes side by side. `time + 1`: there is also a row for the state after the end."""
 
     observations: Tensor  # [time + 1, env, agent, obs]
-    states: Tensor  # [time + 1, env, state]; if the state is the observations: the same memory
+    states: Tensor  # [time + 1, env, state]; may be a view of the observations
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
@@ -244,11 +233,12 @@ class Team:
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
         inputs = torch.from_numpy(observations)[None].float().to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"]).bool().to(self.args.device)  # [..., action]
+        masks = torch.from_numpy(info["action_mask"]).bool()  # [env, agent, action]
         logits, self.hidden = self.agents(inputs, self.hidden)
+        logits = logits[0].cpu()
         if self.greedy:
-            return torch.where(masks, logits[0], -torch.inf).argmax(-1).cpu().numpy()
-        return sample_actions(logits[0], masks, self.rng).cpu().numpy()
+            return torch.where(masks, logits, -torch.inf).argmax(-1).numpy()
+        return sample_actions(logits, masks, self.rng).numpy()
 
 
 def new_storage(args: Args, env: VectorEnv) -> Batch:
@@ -272,30 +262,29 @@ def new_storage(args: Args, env: VectorEnv) -> Batch:
 def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
     """Plays one whole episode in each environment; those that end early wait for the others.
 
-    Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
-    batch is a view of `storage`, so it is valid until the next one is collected.
+    Returns the batch, cut to the longest episode, and the team's episode returns, [env]. On the CPU
+    the batch is a view of `storage`, so it is valid until the next one is collected.
     """
     arrays: Any = Batch._make(x.numpy() for x in storage)  # the same memory, for NumPy
     observations, info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
-    returns = np.zeros(env.num_envs)
-    t = 0
-    arrays.observations[0], arrays.states[0] = observations, info["state"]
-    arrays.action_masks[0] = info["action_mask"]
-    while not ended.all():
+    episode_returns = np.zeros(env.num_envs)
+    for t in range(env.episode_limit + 1):
+        arrays.observations[t], arrays.states[t] = observations, info["state"]
+        arrays.action_masks[t] = info["action_mask"]
+        if ended.all():
+            break
         actions = team.act(observations, info)
         arrays.actions[t], arrays.played[t] = actions, ~ended
         observations, rewards, terminated, truncated, info = env.step(actions)
         arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
-        returns += rewards
+        episode_returns += rewards
         ended = terminated | truncated
         arrays.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
-        t += 1
-        arrays.observations[t], arrays.states[t] = observations, info["state"]
-        arrays.action_masks[t] = info["action_mask"]
     unplayed = env.episode_limit - t  # rows at the end that no episode has reached
-    return Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage), returns
+    batch = Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage)
+    return batch, episode_returns
 
 
 # --- update ---
@@ -303,7 +292,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # only these: an actor's loss may pass through a critic
+    loss.backward(inputs=parameters)  # only these: a loss may pass through other networks
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -314,9 +303,9 @@ def update_target(target: nn.Module, online: nn.Module, method: str, n_updates: 
     """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
     if method == "hard" and n_updates % 200 != 0:
         return
-    share = 0.01 if method == "soft" else 1.0
+    tau = 0.01 if method == "soft" else 1.0
     for slow, fast in zip(target.parameters(), online.parameters()):
-        slow.lerp_(fast, share)  # slow += share * (fast - slow)
+        slow.lerp_(fast, tau)  # slow += tau * (fast - slow)
 
 
 def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> dict[str, Tensor]:
@@ -355,7 +344,8 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> d
 
     update_target(target_critic, critic, args.target_update, n_updates)
     with torch.no_grad():
-        unexplained = (returns - values)[played].var()  # not foreseen by the critic
+        unforeseen, total = (x[played].var(correction=0) for x in (returns - values, returns))
+        explained = torch.where(total > 0, 1 - unforeseen / total, 0.0)  # 0 where nothing varies
         return {
             "loss/critic": critic_loss,
             "loss/actor": actor_loss,
@@ -363,7 +353,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> d
             # The estimator k3 of Schulman, "Approximating KL Divergence" (2020).
             "policy/approximate_kl": played_mean(ratios - 1 - log_ratios, played),
             "policy/clip_fraction": played_mean((ratios != clipped).float(), played),
-            "value/explained_variance": 1 - unexplained / returns[played].var(),
+            "value/explained_variance": explained,
             "gradient/critic_norm": critic_norm,
             "gradient/actor_norm": actor_norm,
         }
@@ -391,10 +381,10 @@ def train(args: Args) -> None:
 
     run.evaluate_if_due()  # the first point comes before training
     while run.timestep < args.total_timesteps:
-        batch, returns = collect(args, env, team, storage)
+        batch, episode_returns = collect(args, env, team, storage)
         run.n_updates += 1
         metrics = update(args, parts, batch, run.n_updates)
-        run.count(batch.played, returns, metrics)  # ends the process if a loss is not finite
+        run.count(batch.played, episode_returns, metrics)  # ends if a loss is not finite
         run.stop_if_asked()  # after Ctrl-C or SIGTERM: saves, and ends the process
         run.evaluate_if_due()
         run.save_if_due()

@@ -1,4 +1,7 @@
-# docs/algorithms/maddpg.md explains every line. benchmark/RESULTS.md has curves and tables.
+# docs/algorithms/maddpg.md has remarks on this code; benchmark/RESULTS.md has curves and tables.
+# With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.98 (the most is 1) after 2 million steps and 12
+# minutes of one core. Trained without the steps that end an episode, as by EPyMARL, it came to 0.50
+# at its best (the paper: 0.46).
 """MADDPG: multi-agent deep deterministic policy gradients.
 
 Every agent has a policy (the actor), which chooses an action from the agent's own observation. A
@@ -12,28 +15,24 @@ whole episodes from the replay. Q' and mu' are older or slowly moving copies of 
     L(critic) = mean over agents and steps of (y_i,t - Q_i(s_t, a_t))^2
     L(actor)  = mean over agents and steps of [ c mean_a logit_i(a)^2 - Q_i(s_t, (a_i, a_-i)) ]
 
-r is the team's reward, and mu' takes the likeliest action. In L(actor) the present policies draw
+r is the team's reward (with --individual-rewards agent i's own), standardised if
+--reward-standardisation, and mu' takes the likeliest action. In L(actor) the present policies draw
 all actions, a_i with a gradient and a_-i without; c, --actor-regularisation, keeps them from
 becoming certain early. With --network gru, o_i,t stands for all that agent i has observed in the
-episode so far. With --individual-rewards r is agent i's own, standardised by its own mean.
+episode so far.
 
 Algorithm: Lowe et al., "Multi-Agent Actor-Critic for Mixed Cooperative-Competitive Environments"
 (2017). Unlike there, a_-i in L(actor) does not come from the replay.
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As there, a time-out counts as an end, and the replay holds a million
-steps at most (2,000 episodes in RWARE). Their code, EPyMARL (July 2021), had no such limit,
-standardised rewards and trained MADDPG with padding (rows after an episode's end), left out the
-steps that end an episode, began the target's GRU one step late, and replayed 50,000 episodes in
-batches of 16 (here 5,000, as the paper says, and 32).
-
-With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.98 (the most is 1) after 2 million steps and 12
-minutes of one core. Without the ends it came to 0.50 at its best (the paper: 0.46).
+steps at most (2,000 episodes in RWARE). How their code, EPyMARL, differs:
+docs/algorithms/maddpg.md.
 
     python algos/maddpg.py --env lbf-8x8-2p-2f-c
     python algos/maddpg.py --watch runs/lbf-8x8-2p-2f-c/maddpg-shared/seed0
 """
 
-from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
+from envs import VectorEnv, runs  # before PyTorch, which is faster on AMD processors then
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -44,7 +43,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-# What the paper's search chose for each family of tasks, with and without parameter sharing.
+# Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "off_policy_timesteps"  # this field of a Task, see envs/tasks.py
 PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network target_update actor_regularisation"
@@ -61,41 +60,37 @@ PAPER = {
     ("lbf", "independent"):    (64,  0.0003, True,   "fc",  "hard", 0.001),
     ("rware", "shared"):       (64,  0.0005, False,  "fc",  "soft", 0.001),
     ("rware", "independent"):  (64,  0.0005, False,  "fc",  "soft", 0.001),
+    ("other", "shared"):       (128, 0.0005, False,  "fc",  "soft", 0.001),
+    ("other", "independent"):  (128, 0.0005, False,  "fc",  "soft", 0.001),
 }  # fmt: skip
-OTHER = (128, 0.0005, False, "fc", "soft", 0.001)  # our choice for all other families
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Args(runs.Flags):
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     seed: int = 0  # decides the first weights, the episodes and all that is drawn
-    total_timesteps: int = 2_000_000  # length of the training
+    total_timesteps: int  # from the task: length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: a value, or 0
     individual_rewards: bool = False  # each agent learns from its own reward, not from the team's
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
-    network: Literal["fc", "gru"] = "fc"  # the core of the actors; a critic's core is always fc
-    hidden_dim: int = 64  # width of all layers
+    network: Literal["fc", "gru"]  # from PAPER: the actors' core; a critic's is always fc
+    hidden_dim: int  # from PAPER: width of all layers
     # learning
-    learning_rate: float = 0.0003  # of Adam, for actor and critic
+    learning_rate: float  # from PAPER: of Adam, for actor and critic
     gamma: float = 0.99  # discount
-    actor_regularisation: float = 0.001  # weight of the squared logits
+    actor_regularisation: float  # from PAPER: weight of the squared logits
     batch_size: int = 32  # episodes of an update; each new episode brings one update
     buffer_size: int = 5000  # episodes in the replay; at most a million steps, at least a batch
     max_grad_norm: float = 10.0  # norm to which actor's and critic's gradients are clipped; or inf
-    target_update: Literal["hard", "soft"] = "hard"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: bool = True  # to mean 0 and deviation 1 in each batch
+    target_update: Literal["hard", "soft"]  # from PAPER: a copy every 200 updates, or 1 % each
+    reward_standardisation: bool  # from PAPER: to mean 0 and deviation 1 in each batch
 
 
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
-    task = tasks.task(env)
-    table = task.family, "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
-    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
-    chosen["eval_points"] = task.eval_points
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
+    """The flags for a task. Those without a value in Args get PAPER's and the task's."""
+    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -104,7 +99,7 @@ class Network(nn.Module):
 
     Where agents share a network, the input of agent i ends with its one-hot id. But since
     W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, it is enough to add a column of the weights. For
-    large states this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
+    critics of a large state this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
@@ -145,13 +140,10 @@ class MultiAgentNetwork(nn.Module):
         """x, hidden -> output, hidden as in Network; here hidden has one entry for each network."""
         n = len(self.networks)
         inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
-        outputs, new_hidden = [], []
-        for i, network in enumerate(self.networks):
-            output, state = network(inputs[i], hidden[i] if hidden else None)
-            outputs.append(output)
-            new_hidden.append(state)
-        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
-        return output, new_hidden
+        memories = hidden or [None] * n
+        results = [self.networks[i](inputs[i], memories[i]) for i in range(n)]
+        outputs, new_hidden = zip(*results)
+        return torch.cat(outputs, dim=2), list(new_hidden)
 
 
 # --- maths ---
@@ -161,9 +153,14 @@ def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
-    mean = sample.mean(0)
-    variance = (sample - mean).square().sum(0) / max(len(sample) - 1, 1)
-    return (rewards - mean.to(rewards)) / (variance.sqrt() + 1e-5).to(rewards)
+    std, mean = torch.std_mean(sample, 0, correction=min(len(sample) - 1, 1))
+    return (rewards - mean.to(rewards)) / (std + 1e-5).to(rewards)
+
+
+def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
+    """log pi(. | o), [..., action]. Not -inf for masked actions, so p log p is 0 and not NaN."""
+    logits = torch.where(action_masks, logits, torch.finfo(logits.dtype).min)
+    return logits - logits.logsumexp(-1, keepdim=True)
 
 
 def played_mean(x: Tensor, played: Tensor) -> Tensor:
@@ -174,16 +171,10 @@ def played_mean(x: Tensor, played: Tensor) -> Tensor:
 def sample_actions(logits: Tensor, action_masks: Tensor, rng: torch.Generator) -> Tensor:
     """Draws from softmax(logits) over the available actions: [..., action] -> [...].
 
-    The largest of the logits plus Gumbel noise is such a draw (this is the Gumbel-max trick).
+    The largest of logits plus Gumbel noise is such a draw. -log(exponential noise) is Gumbel noise.
     """
     gumbel = -torch.empty(logits.shape).exponential_(generator=rng).log_().to(logits.device)
     return torch.where(action_masks, logits + gumbel, -torch.inf).argmax(-1)
-
-
-def log_probabilities(logits: Tensor, action_masks: Tensor) -> Tensor:
-    """log pi(. | o), [..., action]. Not -inf for masked actions, so p log p is 0 and not NaN."""
-    logits = torch.where(action_masks, logits, torch.finfo(logits.dtype).min)
-    return logits - logits.logsumexp(-1, keepdim=True)
 
 
 def gumbel_softmax(logits: Tensor, rng: torch.Generator) -> Tensor:
@@ -209,7 +200,7 @@ class Batch(NamedTuple):
     """Whole episodes side by side. `time + 1`: there is also a row for the state after the end."""
 
     observations: Tensor  # [time + 1, env, agent, obs]
-    states: Tensor  # [time + 1, env, state]; if the state is the observations: the same memory
+    states: Tensor  # [time + 1, env, state]; may be a view of the observations
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
     rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
@@ -232,11 +223,12 @@ class Team:
     def act(self, observations: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """observations: [env, agent, obs]. Returns the actions, [env, agent]."""
         inputs = torch.from_numpy(observations)[None].float().to(self.args.device)  # one time step
-        masks = torch.from_numpy(info["action_mask"]).bool().to(self.args.device)  # [..., action]
+        masks = torch.from_numpy(info["action_mask"]).bool()  # [env, agent, action]
         logits, self.hidden = self.agents(inputs, self.hidden)
+        logits = logits[0].cpu()
         if self.greedy:
-            return torch.where(masks, logits[0], -torch.inf).argmax(-1).cpu().numpy()
-        return sample_actions(logits[0], masks, self.rng).cpu().numpy()
+            return torch.where(masks, logits, -torch.inf).argmax(-1).numpy()
+        return sample_actions(logits, masks, self.rng).numpy()
 
 
 def new_storage(args: Args, env: VectorEnv) -> Batch:
@@ -260,30 +252,29 @@ def new_storage(args: Args, env: VectorEnv) -> Batch:
 def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
     """Plays one whole episode in each environment; those that end early wait for the others.
 
-    Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
-    batch is a view of `storage`, so it is valid until the next one is collected.
+    Returns the batch, cut to the longest episode, and the team's episode returns, [env]. On the CPU
+    the batch is a view of `storage`, so it is valid until the next one is collected.
     """
     arrays: Any = Batch._make(x.numpy() for x in storage)  # the same memory, for NumPy
     observations, info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
-    returns = np.zeros(env.num_envs)
-    t = 0
-    arrays.observations[0], arrays.states[0] = observations, info["state"]
-    arrays.action_masks[0] = info["action_mask"]
-    while not ended.all():
+    episode_returns = np.zeros(env.num_envs)
+    for t in range(env.episode_limit + 1):
+        arrays.observations[t], arrays.states[t] = observations, info["state"]
+        arrays.action_masks[t] = info["action_mask"]
+        if ended.all():
+            break
         actions = team.act(observations, info)
         arrays.actions[t], arrays.played[t] = actions, ~ended
         observations, rewards, terminated, truncated, info = env.step(actions)
         arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
-        returns += rewards
+        episode_returns += rewards
         ended = terminated | truncated
         arrays.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
-        t += 1
-        arrays.observations[t], arrays.states[t] = observations, info["state"]
-        arrays.action_masks[t] = info["action_mask"]
     unplayed = env.episode_limit - t  # rows at the end that no episode has reached
-    return Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage), returns
+    batch = Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage)
+    return batch, episode_returns
 
 
 class Replay:
@@ -319,7 +310,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # only these: an actor's loss may pass through a critic
+    loss.backward(inputs=parameters)  # only these: a loss may pass through other networks
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -330,34 +321,35 @@ def update_target(target: nn.Module, online: nn.Module, method: str, n_updates: 
     """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
     if method == "hard" and n_updates % 200 != 0:
         return
-    share = 0.01 if method == "soft" else 1.0
+    tau = 0.01 if method == "soft" else 1.0
     for slow, fast in zip(target.parameters(), online.parameters()):
-        slow.lerp_(fast, share)  # slow += share * (fast - slow)
+        slow.lerp_(fast, tau)  # slow += tau * (fast - slow)
 
 
 def update(
     args: Args, parts: dict[str, Any], batch: Batch, n_updates: int, rng: torch.Generator
 ) -> dict[str, Tensor]:
     """Learns from a batch in update number n_updates, from 1 on. Returns figures for the log."""
+    played = batch.played
     agents, target_agents = parts["agents"], parts["target_agents"]
     critic, target_critic = parts["critic"], parts["target_critic"]
     n_agents, n_actions = batch.action_masks.shape[2:]
     rewards = batch.rewards
     if args.reward_standardisation:
-        rewards = standardised(rewards, batch.played)
+        rewards = standardised(rewards, played)
     with torch.no_grad():
-        logits = target_agents(batch.observations)[0]  # [time + 1, env, agent, action]
-        greedy = torch.where(batch.action_masks, logits, -torch.inf).argmax(-1)
-        greedy = nn.functional.one_hot(greedy, n_actions)  # [time + 1, env, agent, action]
-        critic_inputs = with_joint_actions(batch.states[1:], greedy[1:].unsqueeze(2))
-        next_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time, env, agent]
+        target_logits = target_agents(batch.observations)[0]  # [time + 1, env, agent, action]
+        likeliest = torch.where(batch.action_masks, target_logits, -torch.inf).argmax(-1)
+        next_actions = nn.functional.one_hot(likeliest[1:], n_actions)  # [time, env, agent, action]
+        next_inputs = with_joint_actions(batch.states[1:], next_actions.unsqueeze(2))
+        next_values = target_critic(next_inputs)[0].squeeze(-1)  # [time, env, agent]
         next_values = next_values.masked_fill(batch.no_bootstrap.unsqueeze(-1), 0.0)
         targets = rewards + args.gamma * next_values
 
     actions = nn.functional.one_hot(batch.actions, n_actions)  # [time, env, agent, action]
     critic_inputs = with_joint_actions(batch.states[:-1], actions.unsqueeze(2))
     values = critic(critic_inputs)[0].squeeze(-1)  # [time, env, agent]
-    critic_loss = played_mean((targets - values).square(), batch.played)
+    critic_loss = played_mean((targets - values).square(), played)
     critic_norm = gradient_step(critic_loss, parts["critic_optimiser"], args.max_grad_norm)
 
     logits = agents(batch.observations[:-1])[0]  # [time, env, agent, action]
@@ -368,7 +360,7 @@ def update(
     joint = torch.where(own, drawn.unsqueeze(2), drawn.detach().unsqueeze(2))  # [..., i, j, action]
     actor_values = critic(with_joint_actions(batch.states[:-1], joint))[0].squeeze(-1)
     squares = (logits * batch.action_masks[:-1]).square().mean(-1)  # masked logits count as 0
-    actor_loss = played_mean(args.actor_regularisation * squares - actor_values, batch.played)
+    actor_loss = played_mean(args.actor_regularisation * squares - actor_values, played)
     actor_norm = gradient_step(actor_loss, parts["actor_optimiser"], args.max_grad_norm)
 
     update_target(target_agents, agents, args.target_update, n_updates)
@@ -378,9 +370,9 @@ def update(
         return {
             "loss/critic": critic_loss,
             "loss/actor": actor_loss,
-            "policy/entropy": played_mean(entropy, batch.played),
-            "value/mean": played_mean(values, batch.played),
-            "value/target_mean": played_mean(targets, batch.played),
+            "policy/entropy": played_mean(entropy, played),
+            "value/mean": played_mean(values, played),
+            "value/target_mean": played_mean(targets, played),
             "gradient/critic_norm": critic_norm,
             "gradient/actor_norm": actor_norm,
         }
@@ -411,13 +403,13 @@ def train(args: Args) -> None:
 
     run.evaluate_if_due()  # the first point comes before training
     while run.timestep < args.total_timesteps:
-        episode, returns = collect(args, env, team, storage)
+        episode, episode_returns = collect(args, env, team, storage)
         replay.add(episode)
         metrics = {}
         if env.episode >= args.batch_size:  # the replay holds a batch
             run.n_updates += 1
             metrics = update(args, parts, replay.sample(rng), run.n_updates, rng)
-        run.count(episode.played, returns, metrics)  # ends the process if a loss is not finite
+        run.count(episode.played, episode_returns, metrics)  # ends if a loss is not finite
         run.stop_if_asked()  # after Ctrl-C or SIGTERM: saves, and ends the process
         run.evaluate_if_due()
         run.save_if_due()

@@ -1,4 +1,6 @@
-# docs/algorithms/qmix.md explains every line. benchmark/RESULTS.md has curves and tables.
+# docs/algorithms/qmix.md has remarks on this code; benchmark/RESULTS.md has curves and tables.
+# With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.56 (the most is 1) after 2 million steps and 35
+# minutes of one core. Seeds 1 to 4 end at 1.00.
 """QMIX: a monotonic mix of the agents' values.
 
 Every agent learns the value Q_i of its own actions. A mixing network turns these into the value of
@@ -12,8 +14,9 @@ epsilon, any. Then one gradient step is made on a batch of whole episodes from t
     y_t       = r_t + gamma Mix'(Q'_1(o_1,t+1, a*_1,t+1), ..., Q'_n(o_n,t+1, a*_n,t+1); s_{t+1})
     L         = mean over steps of (y_t - Mix(Q_1(o_1,t, a_1,t), ..., Q_n(o_n,t, a_n,t); s_t))^2
 
-r is the team's reward; where the episode ended, y_t is only r_t. Q' and Mix' are older or slowly
-moving copies. Q chooses the next actions a*, its best; Q' values them (double Q-learning).
+r is the team's reward, standardised if --reward-standardisation; where the episode ended, y_t is
+only r_t. Q' and Mix' are older or slowly moving copies. Q chooses the next actions a*, its best; Q'
+values them (double Q-learning).
 With --network gru, o_i,t stands for all that agent i has observed in the episode so far.
 
 Algorithm: Rashid et al., "QMIX: Monotonic Value Function Factorisation for Deep Multi-Agent
@@ -21,28 +24,24 @@ Reinforcement Learning" (2018).
 Double Q-learning: van Hasselt et al., "Deep Reinforcement Learning with Double Q-learning" (2016).
 Hyperparameters: Papoudakis et al., "Benchmarking Multi-Agent Deep Reinforcement Learning Algorithms
 in Cooperative Tasks" (2021). As there, a time-out counts as an end, and the replay holds a million
-steps at most (2,000 episodes in RWARE). Their code, EPyMARL (July 2021), had no such limit, and it
-counted padding, the rows after an episode's end, when it standardised rewards.
-
-With seed 0, lbf-8x8-2p-2f-c ends at a return of 0.56 (the most is 1) after 2 million steps and 35
-minutes of one core. Seeds 1 to 4 end at 1.00.
+steps at most (2,000 episodes in RWARE). How their code, EPyMARL, differs: docs/algorithms/qmix.md.
 
     python algos/qmix.py --env lbf-8x8-2p-2f-c
     python algos/qmix.py --watch runs/lbf-8x8-2p-2f-c/qmix-shared/seed0
 """
 
-from envs import VectorEnv, runs, tasks  # before PyTorch, which is faster on AMD processors then
+from envs import VectorEnv, runs  # before PyTorch, which is faster on AMD processors then
 
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-# What the paper's search chose for each family of tasks, with and without parameter sharing.
+# Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "off_policy_timesteps"  # this field of a Task, see envs/tasks.py
 PAPER_FLAGS = (
     "hidden_dim learning_rate reward_standardisation network "
@@ -60,44 +59,39 @@ PAPER = {
     ("lbf", "independent"):    (64,  0.0001, True,   "gru", "soft", 0.05, 50_000),
     ("rware", "shared"):       (64,  0.0005, True,   "fc",  "soft", 0.05, 50_000),
     ("rware", "independent"):  (64,  0.0003, True,   "fc",  "soft", 0.05, 50_000),
+    ("other", "shared"):       (128, 0.0005, False,  "fc",  "soft", 0.05, 200_000),
+    ("other", "independent"):  (128, 0.0005, False,  "fc",  "soft", 0.05, 200_000),
 }  # fmt: skip
-OTHER = (128, 0.0005, False, "fc", "soft", 0.05, 200_000)  # our choice for all other families
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Args(runs.Flags):
     # task
     env: str = "lbf-8x8-2p-2f-c"  # the task; `python -m envs` lists them
     seed: int = 0  # decides the first weights, the episodes and all that is drawn
-    total_timesteps: int = 2_000_000  # length of the training
+    total_timesteps: int  # from the task: length of the training
     time_limit: Literal["bootstrap", "terminal"] = "terminal"  # after a time-out: a value, or 0
-    individual_rewards: ClassVar[bool] = False  # no flag: one value is learned for the team
     # network
     parameter_sharing: bool = True  # one network for all agents, or one for each
-    network: Literal["fc", "gru"] = "gru"  # the core of the agents' networks
-    hidden_dim: int = 64  # width of the agents' layers; the mixer has its own
+    network: Literal["fc", "gru"]  # from PAPER: the core of the agents' networks
+    hidden_dim: int  # from PAPER: width of the agents' layers; the mixer has its own
     # learning
-    learning_rate: float = 0.0003  # of Adam
+    learning_rate: float  # from PAPER: of Adam
     gamma: float = 0.99  # discount
     epsilon_start: float = 1.0  # share of random actions at first
     epsilon_end: float = 0.05  # share of random actions at last
-    epsilon_anneal: int = 200_000  # steps from the first share to the last
+    epsilon_anneal: int  # from PAPER: steps from the first share to the last
     batch_size: int = 32  # episodes of an update; each new episode brings one update
     buffer_size: int = 5000  # episodes in the replay; at most a million steps, at least a batch
     max_grad_norm: float = 10.0  # gradients are clipped to this norm; or inf
-    target_update: Literal["hard", "soft"] = "soft"  # copy every 200 updates, or move by 1 % each
-    reward_standardisation: bool = True  # to mean 0 and deviation 1 in each batch
-    eval_epsilon: float = 0.05  # share of random actions in evaluations
+    target_update: Literal["hard", "soft"]  # from PAPER: a copy every 200 updates, or 1 % each
+    reward_standardisation: bool  # from PAPER: to mean 0 and deviation 1 in each batch
+    eval_epsilon: float  # from PAPER: share of random actions in evaluations
 
 
-def paper_defaults(env: str = Args.env, parameter_sharing: bool = True) -> Args:
-    """The paper's budget and hyperparameters for a task; OTHER for a family that it lacks."""
-    task = tasks.task(env)
-    table = task.family, "shared" if parameter_sharing else "independent"
-    chosen: dict[str, Any] = dict(zip(PAPER_FLAGS.split(), PAPER.get(table, OTHER)))
-    chosen["total_timesteps"] = getattr(task, PAPER_BUDGET)
-    chosen["eval_points"] = task.eval_points
-    return Args(env=env, parameter_sharing=parameter_sharing, **chosen)
+def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
+    """The flags for a task. Those without a value in Args get PAPER's and the task's."""
+    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -106,7 +100,7 @@ class Network(nn.Module):
 
     Where agents share a network, the input of agent i ends with its one-hot id. But since
     W [x, onehot(i)] + b = W_x x + W_id[:, i] + b, it is enough to add a column of the weights. For
-    large states this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
+    critics of a large state this saves time: 17 % of an update of MAPPO on rware-tiny-4p.
     """
 
     def __init__(self, input_size: int, n_ids: int, hidden_dim: int, output_size: int, core: str):
@@ -147,19 +141,17 @@ class MultiAgentNetwork(nn.Module):
         """x, hidden -> output, hidden as in Network; here hidden has one entry for each network."""
         n = len(self.networks)
         inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
-        outputs, new_hidden = [], []
-        for i, network in enumerate(self.networks):
-            output, state = network(inputs[i], hidden[i] if hidden else None)
-            outputs.append(output)
-            new_hidden.append(state)
-        output = torch.cat(outputs, dim=2) if n > 1 else outputs[0]
-        return output, new_hidden
+        memories = hidden or [None] * n
+        results = [self.networks[i](inputs[i], memories[i]) for i in range(n)]
+        outputs, new_hidden = zip(*results)
+        return torch.cat(outputs, dim=2), list(new_hidden)
 
 
 class Mixer(nn.Module):
     """Mix(q; s) of the docstring above. Small "hypernetworks" of the state make W1, b1, w2 and b2.
 
-    Their sizes are the authors' code's: two layers for W1 and w2, where the paper has one.
+    Their sizes are the authors' code's: two layers for W1 and w2, where the paper has one. `abs`
+    makes the mix monotonic: no weight is negative, so it never falls where an agent's value rises.
     """
 
     def __init__(self, n_agents: int, state_size: int):
@@ -186,9 +178,8 @@ def standardised(rewards: Tensor, played: Tensor) -> Tensor:
     rewards: [time, env, 1 or agent]; played: [time, env]. Each agent has its own mean and std.
     """
     sample = rewards[played].double()  # [step, 1 or agent]
-    mean = sample.mean(0)
-    variance = (sample - mean).square().sum(0) / max(len(sample) - 1, 1)
-    return (rewards - mean.to(rewards)) / (variance.sqrt() + 1e-5).to(rewards)
+    std, mean = torch.std_mean(sample, 0, correction=min(len(sample) - 1, 1))
+    return (rewards - mean.to(rewards)) / (std + 1e-5).to(rewards)
 
 
 def annealed_epsilon(args: Args, timestep: int) -> float:
@@ -216,10 +207,10 @@ class Batch(NamedTuple):
     """Whole episodes side by side. `time + 1`: there is also a row for the state after the end."""
 
     observations: Tensor  # [time + 1, env, agent, obs]
-    states: Tensor  # [time + 1, env, state]; if the state is the observations: the same memory
+    states: Tensor  # [time + 1, env, state]; may be a view of the observations
     action_masks: Tensor  # [time + 1, env, agent, action], bool: what each agent may do
     actions: Tensor  # [time, env, agent], int
-    rewards: Tensor  # [time, env, 1], the team's; or [time, env, agent], each agent's own
+    rewards: Tensor  # [time, env, 1], the team's
     played: Tensor  # [time, env], bool: False after the end, where only the first row matters
     no_bootstrap: Tensor  # [time, env], bool: the state after this step is worth 0
 
@@ -261,7 +252,7 @@ def new_storage(args: Args, env: VectorEnv) -> Batch:
         states=states,
         action_masks=torch.zeros(steps + 1, n_envs, n_agents, env.n_actions, dtype=torch.bool),
         actions=torch.zeros(steps, n_envs, n_agents, dtype=torch.int64),
-        rewards=torch.zeros(steps, n_envs, n_agents if args.individual_rewards else 1),
+        rewards=torch.zeros(steps, n_envs, 1),
         played=torch.zeros(steps, n_envs, dtype=torch.bool),
         no_bootstrap=torch.zeros(steps, n_envs, dtype=torch.bool),
     )
@@ -270,30 +261,29 @@ def new_storage(args: Args, env: VectorEnv) -> Batch:
 def collect(args: Args, env: VectorEnv, team: Team, storage: Batch) -> tuple[Batch, np.ndarray]:
     """Plays one whole episode in each environment; those that end early wait for the others.
 
-    Returns the batch, cut to the longest episode, and the team's returns, [env]. On the CPU the
-    batch is a view of `storage`, so it is valid until the next one is collected.
+    Returns the batch, cut to the longest episode, and the team's episode returns, [env]. On the CPU
+    the batch is a view of `storage`, so it is valid until the next one is collected.
     """
     arrays: Any = Batch._make(x.numpy() for x in storage)  # the same memory, for NumPy
     observations, info = env.reset()
     team.reset()
     ended = np.zeros(env.num_envs, dtype=bool)
-    returns = np.zeros(env.num_envs)
-    t = 0
-    arrays.observations[0], arrays.states[0] = observations, info["state"]
-    arrays.action_masks[0] = info["action_mask"]
-    while not ended.all():
+    episode_returns = np.zeros(env.num_envs)
+    for t in range(env.episode_limit + 1):
+        arrays.observations[t], arrays.states[t] = observations, info["state"]
+        arrays.action_masks[t] = info["action_mask"]
+        if ended.all():
+            break
         actions = team.act(observations, info)
         arrays.actions[t], arrays.played[t] = actions, ~ended
         observations, rewards, terminated, truncated, info = env.step(actions)
-        arrays.rewards[t] = info["agent_rewards"] if args.individual_rewards else rewards[:, None]
-        returns += rewards
+        arrays.rewards[t] = rewards[:, None]
+        episode_returns += rewards
         ended = terminated | truncated
         arrays.no_bootstrap[t] = ended if args.time_limit == "terminal" else terminated
-        t += 1
-        arrays.observations[t], arrays.states[t] = observations, info["state"]
-        arrays.action_masks[t] = info["action_mask"]
     unplayed = env.episode_limit - t  # rows at the end that no episode has reached
-    return Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage), returns
+    batch = Batch._make(x[: len(x) - unplayed].to(args.device) for x in storage)
+    return batch, episode_returns
 
 
 class Replay:
@@ -329,7 +319,7 @@ def gradient_step(loss: Tensor, optimiser: torch.optim.Optimizer, max_grad_norm:
     """Moves the optimiser's parameters down the loss. Returns their gradient's unclipped norm."""
     parameters = [x for group in optimiser.param_groups for x in group["params"]]
     optimiser.zero_grad()
-    loss.backward(inputs=parameters)  # only these: an actor's loss may pass through a critic
+    loss.backward(inputs=parameters)  # only these: a loss may pass through other networks
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimiser.step()
     return norm
@@ -340,17 +330,18 @@ def update_target(target: nn.Module, online: nn.Module, method: str, n_updates: 
     """Hard: a copy at every 200th update. Soft: 1 % of the way to the online network, each time."""
     if method == "hard" and n_updates % 200 != 0:
         return
-    share = 0.01 if method == "soft" else 1.0
+    tau = 0.01 if method == "soft" else 1.0
     for slow, fast in zip(target.parameters(), online.parameters()):
-        slow.lerp_(fast, share)  # slow += share * (fast - slow)
+        slow.lerp_(fast, tau)  # slow += tau * (fast - slow)
 
 
 def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> dict[str, Tensor]:
     """Learns from a batch in update number n_updates, from 1 on. Returns figures for the log."""
+    played = batch.played
     agents, target_agents = parts["agents"], parts["target_agents"]
     rewards = batch.rewards
     if args.reward_standardisation:
-        rewards = standardised(rewards, batch.played)
+        rewards = standardised(rewards, played)
     q_values = agents(batch.observations)[0]  # [time + 1, env, agent, action]
     taken = q_values[:-1].gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     values = parts["mixer"](taken, batch.states[:-1])  # [time, env, 1]
@@ -360,14 +351,14 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> d
         next_values = parts["target_mixer"](next_taken, batch.states[1:])  # [time, env, 1]
         next_values = next_values.masked_fill(batch.no_bootstrap.unsqueeze(-1), 0.0)
         targets = rewards + args.gamma * next_values
-    loss = played_mean((targets - values).square(), batch.played)
+    loss = played_mean((targets - values).square(), played)
     norm = gradient_step(loss, parts["optimiser"], args.max_grad_norm)
     update_target(target_agents, agents, args.target_update, n_updates)
     update_target(parts["target_mixer"], parts["mixer"], args.target_update, n_updates)
     return {
         "loss/value": loss,
-        "value/mean": played_mean(values.detach(), batch.played),
-        "value/target_mean": played_mean(targets, batch.played),
+        "value/mean": played_mean(values.detach(), played),
+        "value/target_mean": played_mean(targets, played),
         "gradient/norm": norm,
     }
 
@@ -398,14 +389,14 @@ def train(args: Args) -> None:
     run.evaluate_if_due()  # the first point comes before training
     while run.timestep < args.total_timesteps:
         team.epsilon = annealed_epsilon(args, run.timestep)
-        episode, returns = collect(args, env, team, storage)
+        episode, episode_returns = collect(args, env, team, storage)
         replay.add(episode)
         metrics = {}
         if env.episode >= args.batch_size:  # the replay holds a batch
             run.n_updates += 1
             metrics = update(args, parts, replay.sample(rng), run.n_updates)
             metrics["policy/epsilon"] = torch.tensor(team.epsilon)
-        run.count(episode.played, returns, metrics)  # ends the process if a loss is not finite
+        run.count(episode.played, episode_returns, metrics)  # ends if a loss is not finite
         run.stop_if_asked()  # after Ctrl-C or SIGTERM: saves, and ends the process
         run.evaluate_if_due()
         run.save_if_due()

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any
 
 import envs
-from benchmark import store
+from benchmark import hyperparameters, store
 from envs.runs import changed_flags, parse_flags, run_path
 from envs.runs.flags import as_flag
 
@@ -32,12 +32,35 @@ def script_names() -> list[str]:
     return [path.stem for path in paths if "\nclass Args" in path.read_text(encoding="utf-8")]
 
 
-def load_script(name: str) -> ModuleType:
-    """algos/<name>.py as a module, made anew."""
-    spec = importlib.util.spec_from_file_location(name, ALGOS / f"{name}.py")
+def chosen_scripts(words: list[str]) -> list[Path]:
+    """The scripts that are named: an algorithm of algos/, the path of another script, or "all" of algos/.
+
+    InputError for a word that is none of these, and for another script with the name of one of algos/.
+    """
+    names = script_names()
+    paths: list[Path] = []
+    for word in words:
+        path = Path(word).resolve()
+        if word in ("all", *names):
+            paths += [ALGOS / f"{name}.py" for name in names if word in ("all", name)]
+        elif path.suffix != ".py" or not path.is_file():
+            raise envs.InputError(f"--algorithms {word}: neither one of {', '.join(names)}, all, nor a script's path.")
+        elif path.stem in names and path.parent != ALGOS:
+            raise envs.InputError(f"--algorithms {word}: algos/ has a {path.name}, so the script needs another name.")
+        else:
+            paths.append(path)
+    paths = list(dict.fromkeys(paths))
+    if len({path.stem for path in paths}) < len(paths):
+        raise envs.InputError("--algorithms: two scripts have the same name, and results go by the name.")
+    return paths
+
+
+def load_script(path: Path) -> ModuleType:
+    """A script as a module, made anew."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its flags and their help are looked for
+    sys.modules[path.stem] = module  # where its flags and their help are looked for
     spec.loader.exec_module(module)
     return module
 
@@ -138,19 +161,19 @@ def variants(grid: Grid, algorithm: str, family: str) -> Iterator[Flags]:
         yield tuple(word for flag in flags for word in flag.split())
 
 
-def make_plan(algorithms: list[str], seeds: Seeds, flags: Flags, grid: Grid | None, runs: Path) -> list[PlannedRun]:
+def make_plan(scripts: list[Path], seeds: Seeds, flags: Flags, grid: Grid | None, runs: Path) -> list[PlannedRun]:
     """The runs of a campaign, all of the first seed first. InputError where a script refuses the flags."""
     settings = []
     by_task: dict[str, list[str]] = {}
     for task, sharing in seeds:
         by_task.setdefault(task, []).append(sharing)
-    rows = ((task, algorithm, sharing) for task in by_task for algorithm in algorithms for sharing in by_task[task])
-    for task, algorithm, sharing in rows:
+    rows = ((task, path, sharing) for task in by_task for path in scripts for sharing in by_task[task])
+    for task, path, sharing in rows:
         family = envs.task(task).family
-        chosen = [()] if grid is None else list(variants(grid, algorithm, family))
+        chosen = [()] if grid is None else list(variants(grid, path.stem, family))
         if chosen == [()] and grid is not None:
-            raise envs.InputError(f"the grid has no line for {algorithm} on tasks of the family {family}.")
-        settings += [make_setting(algorithm, task, sharing, (*variant, *flags)) for variant in chosen]
+            raise envs.InputError(f"the grid has no line for {path.stem} on tasks of the family {family}.")
+        settings += [make_setting(path, task, sharing, (*variant, *flags)) for variant in chosen]
     plan = []
     for seed, setting in itertools.product(range(max(seeds.values())), settings):
         if seed >= seeds[setting["task"], setting["sharing"]]:
@@ -164,13 +187,14 @@ def make_plan(algorithms: list[str], seeds: Seeds, flags: Flags, grid: Grid | No
     return plan
 
 
-def make_setting(algorithm: str, task: str, sharing: str, flags: Flags) -> dict[str, Any]:
-    """What all seeds of a setting have in common."""
+def make_setting(path: Path, task: str, sharing: str, flags: Flags) -> dict[str, Any]:
+    """What all seeds of a setting have in common. InputError as `hyperparameters.check` raises it, too."""
+    algorithm = path.stem
     for word in flags:
         name = word.partition("=")[0].removeprefix("--").replace("-", "_").removeprefix("no_")
         if word.startswith("--") and name in OF_THIS_PROGRAM:
             raise envs.InputError(f"--{name.replace('_', '-')} is chosen by this program, run by run.")
-    module: Any = script(algorithm)
+    module: Any = script(path)
     paper = args = module.paper_defaults(task, sharing == "shared")
     try:
         if flags:  # reading a command line takes a while
@@ -178,13 +202,14 @@ def make_setting(algorithm: str, task: str, sharing: str, flags: Flags) -> dict[
             args = parse_flags(module.Args, module.paper_defaults, words, module.__doc__)
     except SystemExit:  # the script has said on stderr what is wrong
         raise envs.InputError(
-            f"{algorithm} on {task} does not take the flags {' '.join(flags)}; algos/{algorithm}.py --help lists them"
+            f"{algorithm} on {task} does not take the flags {' '.join(flags)}; {path.name} --help lists them"
         ) from None
     except envs.InputError as error:
         raise envs.InputError(f"{algorithm} on {task}: {error}") from None
     if args.eval_points < 2:
         raise envs.InputError("--eval-points must be 2 or more: the first evaluation comes before training.")
     changed = json.loads(json.dumps(changed_flags(args, paper)))  # as config.json has them: a tuple becomes a list
+    hyperparameters.check(algorithm, vars(args), changed)
     return {
         "algorithm": algorithm,
         "task": task,
@@ -192,5 +217,5 @@ def make_setting(algorithm: str, task: str, sharing: str, flags: Flags) -> dict[
         "flags": flags,
         "changed": changed,
         "total_timesteps": args.total_timesteps,
-        "script": ALGOS / f"{algorithm}.py",
+        "script": path,
     }

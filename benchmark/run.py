@@ -86,14 +86,12 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
 def parse() -> argparse.Namespace:
     """Reads the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = plan.script_names()
     parser.add_argument(
         "--algorithms",
         nargs="+",
         required=True,
         metavar="name",
-        choices=[*names, "all"],
-        help="scripts of algos/, or all",
+        help=f"scripts of algos/ ({', '.join(plan.script_names())}), paths of others, or all",
     )
     parser.add_argument(
         "--tasks",
@@ -165,8 +163,8 @@ def run_campaign(args: argparse.Namespace) -> int:
     seeds = seeds_of_rows(args)
     results = args.results or (store.HERE / "searches" / args.grid.stem if args.grid else store.RESULTS)
     grid = plan.read_grid(args.grid) if args.grid else None
-    algorithms = plan.script_names() if "all" in args.algorithms else [*dict.fromkeys(args.algorithms)]
-    runs = plan.make_plan(algorithms, seeds, tuple(args.flags), grid, args.runs.resolve())
+    scripts = plan.chosen_scripts(args.algorithms)
+    runs = plan.make_plan(scripts, seeds, tuple(args.flags), grid, args.runs.resolve())
     if args.plan:
         runs = of_the_papers_tables(runs)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -30,6 +30,7 @@ import numpy as np
 import pandas as pd
 
 import envs
+from benchmark import hyperparameters
 from envs import InputError, runs
 from envs.runs.flags import NOT_IN_DIRECTORY
 
@@ -340,6 +341,7 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
     """
     config, rows = read_run(directory)
     flags = config["flags"]
+    hyperparameters.check(config["algorithm"], flags, config["changed"])
     path = table_path(
         results, config["algorithm"], flags["env"], SHARING[flags["parameter_sharing"]], config["changed"]
     )

@@ -28,7 +28,7 @@ if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import envs
-from benchmark.plan import load_script, script_names
+from benchmark.plan import ALGOS, load_script, script_names
 from envs import runs
 from envs.runs import fast_mkl, one_sentence
 
@@ -41,7 +41,7 @@ def measure(name: str, flags: list[str], seconds: float) -> tuple[str, list[floa
     stepping. Ends the program where the script does not take the flags."""
     import torch
 
-    module: Any = load_script(name)
+    module: Any = load_script(ALGOS / f"{name}.py")
     args: Any = runs.parse_flags(module.Args, module.paper_defaults, flags, module.__doc__)
     if hasattr(args, "buffer_size"):  # the whole replay may be larger than the disk that has temporary files
         args.buffer_size = min(args.buffer_size, 20 * args.batch_size)

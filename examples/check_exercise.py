@@ -14,6 +14,7 @@ nine scripts.
 from envs import InputError, runs  # isort: skip (before PyTorch, as in the scripts)
 import argparse
 import contextlib
+import dataclasses
 import importlib.util
 import json
 import sys
@@ -98,7 +99,8 @@ def make_args(module: Any, recording: Recording) -> Any:
     """The recorded flags; what else stands beside them is no flag of a script."""
     others = {"algorithm", "epymarl_commit", "first_update", "state"}
     flags = {flag: value for flag, value in recording.flags.items() if flag not in others}
-    return module.Args(**flags | {"reward_standardisation": False})  # recorded as "none"
+    flags["reward_standardisation"] = False  # recorded as "none"
+    return dataclasses.replace(module.paper_defaults(), **flags)
 
 
 def make_parts(module: Any, args: Any, recording: Recording) -> dict[str, Any]:
@@ -255,7 +257,7 @@ class StandStill:
 
 def wrong_in_collect(module: Any) -> str:
     """What differs in the experience that `collect` gathers, as a sentence; empty where nothing does."""
-    args, env = module.Args(time_limit="bootstrap"), TwoEpisodes()
+    args, env = dataclasses.replace(module.paper_defaults(), time_limit="bootstrap"), TwoEpisodes()
     batch, returns = module.collect(args, env, StandStill(), module.new_storage(args, env))
     if batch.played.tolist() != [[True, True], [True, True], [False, True]]:
         return "`played` is not True for the steps up to an episode's end, the last one included, and False after it"

@@ -1,11 +1,13 @@
 """The scripts of algos/ as modules, and the pieces that their tests share."""
 
+import dataclasses
 import importlib.util
 import re
 import sys
 import tempfile
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from envs import runs  # isort: skip (before PyTorch, as in the scripts)
 import numpy as np
@@ -64,6 +66,16 @@ def main(name: str) -> None:
     """The program of a script, in this process."""
     module = script(name)
     runs.main(str(module.__file__), module.__doc__, module.Args, module.paper_defaults, module.train, module.load)
+
+
+def args_of(module: ModuleType, **flags: Any) -> Any:
+    """A script's Args for its own task, with some flags changed."""
+    return dataclasses.replace(module.paper_defaults(), **flags)
+
+
+def own_rewards(individual: bool) -> dict[str, bool]:
+    """The flag of individual rewards where it is on: not every algorithm has it."""
+    return {"individual_rewards": True} if individual else {}
 
 
 class FakeRun:
@@ -130,11 +142,13 @@ __all__ = [
     "ROOT",
     "VALUE_BASED",
     "FakeRun",
+    "args_of",
     "envs",
     "load_module",
     "main",
     "near",
     "nine",
+    "own_rewards",
     "parse",
     "script",
     "trained",

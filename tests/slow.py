@@ -18,6 +18,7 @@ def make_batch(args, garbage=False):
     """Random episodes of unequal lengths that end in both ways. garbage: what stands in the rows that nobody played."""
     generator = torch.Generator().manual_seed(0)
     steps, n_envs = max(LENGTHS), len(LENGTHS)
+    n_rewards = N_AGENTS if getattr(args, "individual_rewards", False) else 1
     masks = torch.rand(steps + 1, n_envs, N_AGENTS, N_ACTIONS, generator=generator) < 0.5
     available = torch.randint(N_ACTIONS, masks.shape[:-1], generator=generator)  # at least this one
     batch = script("mappo").Batch(
@@ -25,7 +26,7 @@ def make_batch(args, garbage=False):
         states=torch.randn(steps + 1, n_envs, STATE_SIZE, generator=generator),
         action_masks=masks.scatter(-1, available.unsqueeze(-1), True),
         actions=available[:-1].clone(),
-        rewards=torch.randn(steps, n_envs, N_AGENTS if args.individual_rewards else 1, generator=generator) + 2.0,
+        rewards=torch.randn(steps, n_envs, n_rewards, generator=generator) + 2.0,
         played=torch.zeros(steps, n_envs, dtype=torch.bool),
         no_bootstrap=torch.zeros(steps, n_envs, dtype=torch.bool),
     )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from scripts import NAMES, NINE, ON_POLICY, envs, nine, script, trained
+from scripts import NAMES, NINE, ON_POLICY, args_of, envs, nine, own_rewards, script, trained
 
 GAMMA = 0.5
 
@@ -126,7 +126,7 @@ class TestNetworks:
     def networks(self, parameter_sharing=True, core="fc"):
         """Of three agents, with four inputs and two outputs."""
         module = script(NINE[0])
-        args = module.Args(hidden_dim=8, parameter_sharing=parameter_sharing)
+        args = args_of(module, hidden_dim=8, parameter_sharing=parameter_sharing)
         return module.MultiAgentNetwork(args, 3, 4, 2, core)
 
     def test_shared_network_sees_the_agents_id(self):
@@ -201,7 +201,7 @@ class TestCollect:
     @pytest.mark.parametrize("individual", [False, True])
     def test_batch_is_what_was_played(self, time_limit, individual):
         module, task = script("ia2c"), "lbf-5x5-2p-1f"
-        args = module.Args(env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
+        args = args_of(module, env=task, hidden_dim=16, time_limit=time_limit, individual_rewards=individual)
         env = envs.make(task, 20, seed=3, copy=False)
         rng = torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions)
@@ -239,7 +239,7 @@ def test_every_parameter_learns(monkeypatch, name, sharing, network, individual)
     """After one update every parameter of actors and critics, of each agent's own networks too, has a gradient."""
     if name == "coma" and individual:
         pytest.skip("COMA learns from the team's reward alone")
-    flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
+    flags = {"parameter_sharing": sharing, "network": network, "hidden_dim": 16, **own_rewards(individual)}
     run = trained(monkeypatch, name, 1, reward_standardisation=True, **flags)
     for part in ("agents", "critic"):
         for parameter_name, parameter in run.parts[part].named_parameters():

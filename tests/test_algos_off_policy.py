@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from scripts import OFF_POLICY, VALUE_BASED, FakeRun, nine, parse, script, trained
+from scripts import OFF_POLICY, VALUE_BASED, FakeRun, args_of, nine, own_rewards, parse, script, trained
 from slow import (
     LENGTHS,
     N_ACTIONS,
@@ -75,7 +75,7 @@ def learning_parameters(parts):
 
 def make_args(module, **flags):
     """Flags for `update`: no clipping and targets that stay, unless the test says otherwise."""
-    return module.Args(**{"hidden_dim": 8, "max_grad_norm": 1e9, "target_update": "hard"} | flags)
+    return args_of(module, **{"hidden_dim": 8, "max_grad_norm": 1e9, "target_update": "hard"} | flags)
 
 
 def slow_mix(mixer, values, state):
@@ -281,7 +281,7 @@ class TestMixer:
 class TestEpsilon:
     def team(self, epsilon):
         module = script(nine(VALUE_BASED)[0])
-        args = module.Args(hidden_dim=8, eval_epsilon=epsilon)
+        args = args_of(module, hidden_dim=8, eval_epsilon=epsilon)
         torch.manual_seed(0)
         agents = module.MultiAgentNetwork(args, 2, OBS_SIZE, N_ACTIONS)
         return module.Team(args, agents, torch.Generator().manual_seed(0))
@@ -367,7 +367,7 @@ class TestReplay:
     def begin(self, path, episode=0, state_is_observations=False, episode_limit=6, **flags):
         """A replay, its game and a function that plays some episodes into it."""
         module = script(nine(OFF_POLICY)[0])
-        args = module.Args(**{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
+        args = args_of(module, **{"hidden_dim": 8, "batch_size": 2, "buffer_size": 5} | flags)
         game = Game(state_is_observations, episode)
         game.episode_limit = episode_limit
         agents = module.MultiAgentNetwork(args, N_AGENTS, OBS_SIZE, N_ACTIONS)
@@ -487,7 +487,7 @@ def test_updates_and_checkpoints_of_a_run(monkeypatch, tmp_path, name):
 @pytest.mark.parametrize("network", ["fc", "gru"])
 def test_every_parameter_learns(monkeypatch, name, individual, sharing, network):
     """After one update every parameter, of each agent's own networks too, has a gradient and has moved."""
-    flags = {"parameter_sharing": sharing, "network": network, "individual_rewards": individual, "hidden_dim": 16}
+    flags = {"parameter_sharing": sharing, "network": network, "hidden_dim": 16, **own_rewards(individual)}
     if name == "maddpg":
         flags["actor_regularisation"] = 0.0  # actors learn from the critic
     start = trained(monkeypatch, name, 1, batch_size=2, reward_standardisation=True, **flags)
@@ -543,7 +543,7 @@ class TestMaddpg:
     def actor_update(self, logits, weights, masks, regularisation):
         """The actors' loss and gradient [agent, action] in four steps, and what Gumbel added [step, agent, action]."""
         module, steps = script("maddpg"), 4
-        args = module.Args(max_grad_norm=1e9, actor_regularisation=regularisation)
+        args = args_of(module, max_grad_norm=1e9, actor_regularisation=regularisation)
         n_agents, n_actions = logits.shape
         agents, critic = FixedPolicies(logits), LinearCritics(weights)
         parts: dict = {"agents": agents, "critic": critic}

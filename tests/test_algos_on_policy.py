@@ -5,7 +5,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
-from scripts import ON_POLICY, nine, script
+from scripts import ON_POLICY, args_of, nine, own_rewards, script
 from slow import (
     LENGTHS,
     N_ACTIONS,
@@ -119,8 +119,9 @@ def test_updates_in_a_row(name, time_limit, sharing, network, standardisation, i
     if name == "coma" and individual:
         pytest.skip("COMA learns from the team's reward alone")
     module = script(name)
-    args = module.Args(network=network, reward_standardisation=standardisation, parameter_sharing=sharing)
-    args.time_limit, args.individual_rewards, args.target_update = time_limit, individual, "soft"
+    flags = {"network": network, "reward_standardisation": standardisation, "parameter_sharing": sharing}
+    args = args_of(module, **flags, **own_rewards(individual))
+    args.time_limit, args.target_update = time_limit, "soft"
     args.hidden_dim, args.n_step, args.max_grad_norm, args.entropy_coef = 8, 3, 0.5, 0.1
     if "ppo" in name:
         args.update_epochs, args.clip_coef = 2, 0.02

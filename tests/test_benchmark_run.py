@@ -236,9 +236,8 @@ def folder_of(seed, name="ia2c-shared"):
 
 def make_plan(algorithms, tasks, sharings=("shared",), seeds=1, flags=(), grid=None):
     """The plan for words of the command line."""
-    names = plan.script_names() if algorithms == "all" else algorithms.split()
     rows = dict.fromkeys(itertools.product(plan.chosen_tasks(tasks.split()), sharings), seeds)
-    return plan.make_plan(names, rows, tuple(flags), grid, Path("runs"))
+    return plan.make_plan(plan.chosen_scripts(algorithms.split()), rows, tuple(flags), grid, Path("runs"))
 
 
 class TestPlan:

@@ -421,10 +421,9 @@ def try_command(line, folder, monkeypatch):
     if words[:2] == ["python", "benchmark/run.py"]:
         monkeypatch.setattr(sys, "argv", ["mappo" if word == "mine" else word for word in words[1:]])
         args = run.parse()
-        algorithms = plan.script_names() if "all" in args.algorithms else [*dict.fromkeys(args.algorithms)]
         args.plan = args.plan and ROOT / args.plan
         grid = plan.read_grid(ROOT / args.grid) if args.grid else None
-        plan.make_plan(algorithms, run.seeds_of_rows(args), tuple(args.flags), grid, folder)
+        plan.make_plan(plan.chosen_scripts(args.algorithms), run.seeds_of_rows(args), tuple(args.flags), grid, folder)
     elif words[0] == "python" and words[1] in own_copies:
         test_readme.check_script(own_copies[words[1]], words[2:])
     elif words[0] == "python" and words[1].startswith("examples/"):

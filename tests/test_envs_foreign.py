@@ -22,7 +22,7 @@ import rware  # noqa: F401 (registers its environments)
 import torch
 from mpe2 import simple_speaker_listener_v4, simple_spread_v3
 from pettingzoo.sisl import pursuit_v5
-from scripts import NAMES, ROOT, parse, script, trained
+from scripts import NAMES, ROOT, args_of, parse, script, trained
 from test_algos_families import few_updates
 from test_algos_runs import command, evaluations, main
 from toys import Queue
@@ -677,7 +677,7 @@ def test_agents_who_leave_and_a_single_agent(monkeypatch: pytest.MonkeyPatch, na
 def test_hyperparameters_of_known_families(env: str, family: str) -> None:
     example = {"mpe": "mpe-spread", "lbf": "lbf-8x8-2p-2f-c", "rware": "rware-tiny-2p"}.get(family)
     assert envs.task(env).family == family
-    ours, plain = parse("mappo", ["--env", env]), script("mappo").Args()
+    ours, plain = parse("mappo", ["--env", env]), script("mappo").paper_defaults()
     if example is None:
         assert (ours.hidden_dim, ours.network, ours.total_timesteps) == (plain.hidden_dim, plain.network, 20_000_000)
     else:
@@ -767,7 +767,7 @@ def test_what_a_game_reports_becomes_columns(monkeypatch: pytest.MonkeyPatch, ca
 def untrained_team(name: str, env: envs.VectorEnv, sharing: bool = True) -> Any:
     """A team of a script with a GRU, as in its first step."""
     module = script(name)
-    args = module.Args(network="gru", hidden_dim=8, parameter_sharing=sharing)
+    args = args_of(module, network="gru", hidden_dim=8, parameter_sharing=sharing)
     torch.manual_seed(0)
     agents = module.MultiAgentNetwork(args, env.n_agents, env.obs_size, env.n_actions, "gru")
     return module.Team(args, agents, torch.Generator().manual_seed(1))

@@ -102,7 +102,7 @@ class TestFlags:
         from scripts import NAMES, script
 
         for name in NAMES:
-            for flag, value in vars(script(name).Args()).items():
+            for flag, value in vars(script(name).paper_defaults()).items():
                 assert isinstance(value, str | bool) or flag in runs.RANGES, flag
 
     def test_changed_flags(self) -> None:

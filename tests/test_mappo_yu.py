@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -75,7 +76,7 @@ def test_the_critic_learns_normalised_returns_by_hand():
         played=torch.ones(3, 1, dtype=torch.bool),
         no_bootstrap=torch.zeros(3, 1, dtype=torch.bool),
     )
-    args = mappo_yu.Args(gamma=0.5, gae_lambda=0.5, update_epochs=1, reward_standardisation=False)
+    args = replace(mappo_yu.paper_defaults(), gamma=0.5, gae_lambda=0.5, update_epochs=1, reward_standardisation=False)
     loss = mappo_yu.update(args, parts, batch, 1)["loss/critic"].item()
     last = 3 + 25 - 40
     middle = 2 + 20 - 30 + last / 4

@@ -35,7 +35,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.plan import load_script
+from benchmark.plan import ALGOS, load_script
 from envs import runs
 from envs.families import mpe
 from envs.runs import one_sentence
@@ -155,7 +155,7 @@ def network(agents: Any, agent: int) -> mpe.Network:
 
 def train(task: str, seed: int, directory: Path) -> None:
     """Trains one seed, or goes on with it, and keeps its candidates as <directory>-candidates/<timestep>.npz."""
-    module: Any = load_script("maddpg")
+    module: Any = load_script(ALGOS / "maddpg.py")
     kept = directory.with_name(f"{directory.name}-candidates")
 
     class KeepsCandidates(runs.Run):

@@ -3,7 +3,7 @@
 A script calls what is here in one line each, so that a reader of an algorithm need not read it:
 
     fast_mkl     faster matrix products on AMD processors, if this package is imported before PyTorch
-    flags        Flags, parse_flags, make_for, check_teams, check_one_team
+    flags        Flags, filled, parse_flags, Range, make_for, check_teams, check_one_team
     run          Run, own_generator, evaluate, watch, main: see docs/how-to/around-a-training.md
     directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
     replay       EpisodeFile
@@ -32,10 +32,12 @@ from envs.runs.flags import (
     OF_ONE_RUN,
     RANGES,
     Flags,
+    Range,
     changed_flags,
     check_flags,
     check_one_team,
     check_teams,
+    filled,
     make_for,
     parse_flags,
 )

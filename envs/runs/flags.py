@@ -10,7 +10,8 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable
+import typing
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -23,12 +24,15 @@ from envs.runs.process import flush_stdout
 from envs.vector import RESULT_COLUMNS, InputError
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Flags:
-    """The flags that all scripts share, and that do not say what is learnt, or how. The scripts' Args inherit them."""
+    """The flags that all scripts share, and that do not say what is learnt, or how. The scripts' Args inherit them.
+
+    A field without a value gets one for the task, from `filled`.
+    """
 
     # evaluation
-    eval_points: int = 41  # evaluations at equal distances, the first before training
+    eval_points: int  # from the task: evaluations at equal distances, the first before training
     eval_episodes: int = 100  # episodes of an evaluation, or of --watch
     # run
     device: Literal["cpu", "cuda"] = "cpu"  # where the networks live
@@ -69,7 +73,7 @@ PROBABILITY = Range(0, 1)
 SIZE = Range(1, 100_000)
 COUNT = Range(1, 10**15)
 WEIGHT = Range(0, 10**18)
-RANGES = {
+RANGES = {  # of the flags of our scripts
     "seed": Range(0, 2**63 - 1),
     "total_timesteps": COUNT,
     "max_episode_steps": Range(0, 10**9),
@@ -158,6 +162,36 @@ def parse_flags(args_class: type[Args], defaults: Callable[..., Args], argv: lis
     return args
 
 
+def filled(
+    args_class: type[Args],
+    env: str,
+    parameter_sharing: bool,
+    table: Mapping[tuple[str, str], tuple[Any, ...]],
+    columns: str,
+    budget: str,
+) -> Args:
+    """A script's Args for a task. A value that is written in Args counts; the others come from the table and the task.
+
+    table: a row of hyperparameters for each family and kind of sharing, "other" for all families that have none;
+    columns: their names. budget: the field of the task that is total_timesteps. Raises InputError where a field has no
+    value in either.
+    """
+    task = envs.task(env)
+    sharing = "shared" if parameter_sharing else "independent"
+    row = table.get((task.family, sharing)) or table.get(("other", sharing), ())
+    given = dict(zip(columns.split(), row))
+    given |= {"total_timesteps": getattr(task, budget), "eval_points": task.eval_points}
+    chosen = {name: given[name] for name in without_value(args_class) if name in given}
+    if missing := [name for name in without_value(args_class) if name not in chosen]:
+        raise InputError(f"{missing[0]} has no value in Args, and no row of PAPER gives one for {env}, {sharing}.")
+    return args_class(**{"env": env, "parameter_sharing": parameter_sharing, **chosen})
+
+
+def without_value(args_class: type) -> list[str]:
+    """The fields of a script's Args whose values come from its table or from the task."""
+    return [field.name for field in dataclasses.fields(args_class) if field.default is dataclasses.MISSING]
+
+
 def given_flags(args_class: type, argv: list[str]) -> set[str]:
     """The names of the flags that a command line has, whatever their values."""
     fields = {field.name for field in dataclasses.fields(args_class)}
@@ -174,9 +208,14 @@ def as_flag(name: str, value: Any) -> str:
 
 
 def check_flags(args: Any) -> None:
-    """Raises InputError for the first flag of a script's Args whose number is out of range (see RANGES)."""
+    """Raises InputError for the first flag of a script's Args whose number is out of range.
+
+    A new flag of a script has its Range in its annotation: `gae_lambda: Annotated[float, runs.Range(0, 1)] = 0.95`.
+    """
+    hints = typing.get_type_hints(type(args), include_extras=True)
     for name, value in vars(args).items():
-        allowed = RANGES.get(name)
+        annotated = [part for part in getattr(hints.get(name), "__metadata__", ()) if isinstance(part, Range)]
+        allowed = annotated[0] if annotated else RANGES.get(name)
         if allowed is None:
             continue
         inside = allowed.lowest <= value <= allowed.highest
@@ -227,11 +266,24 @@ def show_help(args_class: type, default: Any, doc: str) -> None:
     for field in dataclasses.fields(Flags):  # go behind the script's own
         fields[field.name] = fields.pop(field.name)
     width = min(shutil.get_terminal_size().columns, 120) - 1
-    for paragraph in doc.strip().split("\n\n"):
+    for paragraph in [*doc.strip().split("\n\n"), origin_of_values(args_class, default)]:
         if not paragraph.startswith("    "):  # formulas and commands keep their lines
             paragraph = textwrap.fill(" ".join(paragraph.split()), width, break_on_hyphens=False)
         print(paragraph, end="\n\n")
     tyro.cli(args_class, args=["--help"], default=default, description="")
+
+
+def origin_of_values(args_class: type, default: Any) -> str:
+    """Says where the values that the help shows come from."""
+    of_paper = [name for name in without_value(args_class) if name not in ("total_timesteps", "eval_points")]
+    of_task = [name for name in without_value(args_class) if name not in of_paper]
+    parts = [
+        f"{source} gives {', '.join('--' + name.replace('_', '-') for name in names)}"
+        for source, names in (("PAPER", of_paper), ("the task", of_task))
+        if names
+    ]
+    sharing = "with" if default.parameter_sharing else "without"
+    return f"Values for {default.env}, {sharing} parameter sharing: {'; '.join([*parts, 'Args gives all others'])}."
 
 
 def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) -> envs.VectorEnv:

@@ -49,7 +49,7 @@ class Log:
                 raise InputError(f"--track: {error}") from error
         write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
-        self.sums_rewards = args.env.startswith("pettingzoo:") and not args.individual_rewards
+        self.sums_rewards = args.env.startswith("pettingzoo:") and not getattr(args, "individual_rewards", False)
         self.begun_at = self.timestep = timestep
         self.started = self.shown = self.said = time.monotonic()
         self.pause = LINE_SECONDS[0]

@@ -69,6 +69,7 @@ class Run:
         run.save_if_due()                           saves where the last checkpoint is some minutes old
         run.complete()                              saves the end, and deletes what only a running run needs
         run.episode_file(fields, size)              the file of a replay, which is saved with the run
+        run.add_part(name, part)                    one more part of the checkpoints, where making it needs the run
 
     Checkpoints are made between batches only, when no episode is under way.
     """
@@ -94,6 +95,7 @@ class Run:
         self.first_total = args.total_timesteps  # when the run was begun: a longer total does not move its points
         self.rows: list[dict[str, float]] = []  # of evaluations.csv
         self.replay: EpisodeFile | None = None
+        self.saved_parts: dict[str, Any] | None = None  # of the checkpoint that the run went on from
         self.eval_env = make_for(args, args.eval_episodes)
         self.directory = RunDirectory(script, args, paper_defaults(args.env, args.parameter_sharing))
         saved = self.directory.checkpoint()
@@ -107,8 +109,9 @@ class Run:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Goes on where a checkpoint was made."""
+        self.saved_parts = saved["parts"]
         for name, part in self.parts.items():
-            part.load_state_dict(saved["parts"][name])
+            part.load_state_dict(self.saved_parts.pop(name))
         self.rng.set_state(saved["rng"])
         self.env.episode = saved["episode"]
         self.timestep, self.n_updates = saved["timestep"], saved["updates"]
@@ -133,6 +136,16 @@ class Run:
         """The file of a replay of so many episodes; fields: an array for each field of an episode, time first."""
         self.replay = EpisodeFile(self.directory.path / "replay.bin", fields, size, self.env.episode)
         return self.replay
+
+    def add_part(self, name: str, part: Any) -> None:
+        """Keeps one more part in checkpoints, such as a replay's priorities, and restores it where the run goes on.
+
+        part: has state_dict, which gives tensors and plain types, and load_state_dict.
+        """
+        self.parts[name] = part
+        if self.saved_parts is not None:
+            with fitting_checkpoint(self.directory.path):
+                part.load_state_dict(self.saved_parts.pop(name))
 
     def point_is_due(self) -> bool:
         """Whether the steps have reached or passed the next evaluation point."""
