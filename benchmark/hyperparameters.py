@@ -66,7 +66,10 @@ def check(algorithm: str, flags: dict[str, Any], changed: dict[str, Any]) -> Non
     """
     if algorithm not in BUDGETS:
         return
-    task = envs.task(flags["env"])
+    try:
+        task = envs.task(flags["env"])
+    except InputError:  # a name of another version
+        return
     wanted = fixed(algorithm) | searched(algorithm, task.family, flags["parameter_sharing"])
     wanted |= {"total_timesteps": getattr(task, BUDGETS[algorithm]), "eval_points": task.eval_points}
     for name, value in wanted.items():
