@@ -85,7 +85,7 @@ def test_what_to_expect_is_what_a_reference_run_had(name):
         r"With seed 0, (\S+) ends at a return of (\S+) \(the most is 1\) after (\d+) million steps and (\d+) minutes",
         head,
     )[0]
-    assert f"python algos/{name}.py --env {task}\n" in script(name).__doc__
+    assert f"python algos/{name}.py --env {task}\n" in str(script(name).__doc__)
     with open(ROOT / "benchmark" / "results" / task / f"{name}-shared.csv") as file:
         last = [row for row in csv.DictReader(file) if row["seed"] == "0"][-1]
     assert f"{float(last['return_mean']):.2f}" == figure

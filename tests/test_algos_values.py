@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import sys
+import types
 import typing
 
 import pytest
@@ -28,7 +29,7 @@ def another(name, value, hint):
 
 def received(module, monkeypatch, words):
     """The Args that `train` gets from a command line."""
-    seen = []
+    seen: list = []
     monkeypatch.setattr(sys, "argv", [module.__file__, *words])
     runs.main(module.__file__, module.__doc__, module.Args, module.paper_defaults, seen.append, module.load)
     return seen[0]
@@ -125,3 +126,48 @@ def test_a_range_in_an_annotation(tmp_path):
     assert parse("--trace", "0.75").trace == 0.75
     with pytest.raises(InputError, match=r"--trace 7\.0: the value must lie between 0 and 1"):
         parse("--trace", "7")
+
+
+def test_a_part_that_needs_the_run_is_kept_and_restored(tmp_path, capsys):
+    """Such as the priorities of a replay: it is in the checkpoints, and a resumed run has it."""
+    text = (ROOT / "algos" / "iql.py").read_text()
+    line = "        replay = Replay(args, env, storage, run)\n"
+    text = text.replace(line, line + '        run.add_part("seen", Seen())\n')
+    line = "    played = batch.played\n"
+    text = text.replace(line, line + '    parts["seen"].updates += 1\n')
+    text = text.replace("# --- update ---", SEEN + "\n\n# --- update ---")
+    module = copy(tmp_path, text)
+    args = module.paper_defaults("lbf-5x5-2p-1f")
+    args.run_dir, args.eval_points, args.eval_episodes, args.total_timesteps = str(tmp_path / "run"), 2, 1, 10**6
+    args.batch_size, args.hidden_dim = 2, 8
+    stopped = []
+
+    class Interrupted(runs.Run):
+        def stop_if_asked(self):
+            """Ends, with a checkpoint, after so many updates."""
+            if self.n_updates == stopped[-1]:
+                self.save()
+                self.log.close()
+                raise KeyboardInterrupt
+
+    module.runs = types.SimpleNamespace(**vars(runs) | {"Run": Interrupted})
+    for number in (3, 7):
+        stopped.append(number)
+        with pytest.raises(KeyboardInterrupt):
+            module.train(args)
+        args.resume = True
+        saved = runs.last_checkpoint(args.run_dir)
+        assert saved["parts"]["seen"] == {"updates": number} and saved["updates"] == number
+
+
+SEEN = '''class Seen:
+    """Counts updates."""
+
+    updates = 0
+
+    def state_dict(self):
+        return {"updates": self.updates}
+
+    def load_state_dict(self, state):
+        self.updates = state["updates"]
+'''

@@ -386,7 +386,7 @@ NOT_A_COMMAND = re.compile(r"\.\.\.|<|^#|^[A-Za-z_]+=|^srun")
 def shown_commands(site):
     """All commands of the site, by what the shell would read, with a page of each. Those of "The paper, run again" are
     run by tests/test_readme.py, which compares what they print."""
-    found = {}
+    found: dict[str, str] = {}
     for file in sorted(set(site.glob("**/*.html")) - {site / "paper-run-again.html"}):
         for line in Code(file.read_text(encoding="utf-8")).commands:
             if line and not NOT_A_COMMAND.search(line):

@@ -85,6 +85,8 @@ def page(name: str, text: str) -> str:
             parts.append(f"### {section.capitalize()}")
         parts.append(shown(known, part, remarks.of(part)))
     parts += ["## Details that matter", remarks.sections["Details that matter"]]
+    if "Unlike EPyMARL" in remarks.sections:
+        parts += ["## Unlike EPyMARL", remarks.sections["Unlike EPyMARL"]]
     parts += ["## Hyperparameters", hyperparameters(known)]
     parts += ["## What to look at in TensorBoard"]
     if name in {*RUNS["algorithm"]}:
@@ -201,7 +203,8 @@ def hyperparameters(known: script.Script) -> str:
     chosen = "They are what the search of [the benchmark paper](https://arxiv.org/abs/2006.07869) chose. "
     parts = [
         f"These are the defaults for each family of tasks. {chosen if known.name in script.NINE else ''}"
-        f"All other flags are the same everywhere: `python algos/{known.name}.py --help` lists them."
+        f"Budget and evaluations belong to the task, and all other flags are the same everywhere: "
+        f"`python algos/{known.name}.py --help` lists them."
     ]
     for sharing, title in SHARINGS.items():
         head = [title, *(FAMILY_TITLES[family] for family in families), "what it is"]

@@ -110,7 +110,7 @@ class Script:
 
     @cached_property
     def flags(self) -> dict[str, tuple[str, str]]:
-        """Each field of Args: its default, and the comment that explains it."""
+        """Each field of Args: its default ("" where PAPER or the task gives it), and the comment that explains it."""
         comments = {}
         for token in tokenize.generate_tokens(io.StringIO(self.source).readline):
             if token.type == tokenize.COMMENT:
@@ -118,8 +118,10 @@ class Script:
         found = {}
         args = next(node for node in self.tree.body if isinstance(node, ast.ClassDef) and node.name == "Args")
         for field in args.body:
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and field.value:
-                found[field.target.id] = ast.unparse(field.value), comments.get(field.end_lineno or 0, "")
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+                default = ast.unparse(field.value) if field.value else ""
+                said = comments.get(field.end_lineno or 0, "")
+                found[field.target.id] = default, re.sub("^from (PAPER|the task): ", "", said)
         return found
 
 
