@@ -140,7 +140,7 @@ def test_a_part_that_needs_the_run_is_kept_and_restored(tmp_path, capsys):
     args = module.paper_defaults("lbf-5x5-2p-1f")
     args.run_dir, args.eval_points, args.eval_episodes, args.total_timesteps = str(tmp_path / "run"), 2, 1, 10**6
     args.batch_size, args.hidden_dim = 2, 8
-    stopped = []
+    stopped: list[int] = []
 
     class Interrupted(runs.Run):
         def stop_if_asked(self):
@@ -156,7 +156,7 @@ def test_a_part_that_needs_the_run_is_kept_and_restored(tmp_path, capsys):
         with pytest.raises(KeyboardInterrupt):
             module.train(args)
         args.resume = True
-        saved = runs.last_checkpoint(args.run_dir)
+        saved = runs.last_checkpoint(args.run_dir) or {}
         assert saved["parts"]["seen"] == {"updates": number} and saved["updates"] == number
 
 

@@ -68,7 +68,7 @@ def test_remarks_are_about_what_the_script_shows(name):
 def test_what_is_folded_has_the_text_of_an_earlier_page_and_no_remark():
     coma = script.read("coma")
     folded = {part.name: algorithm_pages.first_page(coma, part) for part in coma.parts}
-    assert folded["collect"] == "ia2c" and folded["update"] is None and folded["counterfactual_inputs"] is None
+    assert folded["gradient_step"] == "ia2c" and folded["update"] is None and folded["counterfactual_inputs"] is None
     texts = {name: (DOCS / "algorithms" / f"{name}.md").read_text(encoding="utf-8") for name in ("coma", "ia2c")}
     page = algorithm_pages.page("coma", texts["coma"])
     assert "{dropdown} `collect`" in page and "#### `update`" in page and "{dropdown} `update`" not in page

@@ -83,7 +83,13 @@ def test_programs_of_the_benchmark_begin_in_any_folder_and_as_modules(program, t
         assert done.returncode == 0 and done.stdout.startswith("usage:"), done.stderr
 
 
-FLOORS = [{"store"}, {"plan", "measures", "agreement"}, {"campaign", "tables"}, {"cluster", "plots", "claims"}]
+FLOORS = [
+    {"hyperparameters"},
+    {"store"},
+    {"plan", "measures", "agreement"},
+    {"campaign", "tables"},
+    {"cluster", "plots", "claims"},
+]
 PROGRAMS = {"run", "collect", "report", "compare", "time_stepping", "time_training"}
 
 
