@@ -71,7 +71,7 @@ def test_what_is_folded_has_the_text_of_an_earlier_page_and_no_remark():
     assert folded["gradient_step"] == "ia2c" and folded["update"] is None and folded["counterfactual_inputs"] is None
     texts = {name: (DOCS / "algorithms" / f"{name}.md").read_text(encoding="utf-8") for name in ("coma", "ia2c")}
     page = algorithm_pages.page("coma", texts["coma"])
-    assert "{dropdown} `collect`" in page and "#### `update`" in page and "{dropdown} `update`" not in page
+    assert "{dropdown} `gradient_step`" in page and "#### `update`" in page and "{dropdown} `update`" not in page
     assert "{dropdown}" not in algorithm_pages.page("ia2c", texts["ia2c"])
 
 
