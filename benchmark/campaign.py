@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from benchmark import store
 from benchmark.plan import PlannedRun
-from envs.runs import say
+from envs.runs import ends_with_parent, place_arrived, say
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -58,6 +58,7 @@ class LocalJob:
                 stderr=subprocess.STDOUT,
                 env=os.environ | ONE_THREAD,
                 process_group=0,  # the terminal's Ctrl-C is for the campaign, which passes it on once
+                preexec_fn=ends_with_parent(),  # else it would go on beside the runs of the next campaign
             )
 
     def poll(self) -> int | None:
@@ -163,6 +164,7 @@ class Campaign:
             with contextlib.ExitStack() as held:
                 if run.directory.exists():
                     held.enter_context(filelock.FileLock(run.directory / "lock", timeout=0))
+                    place_arrived(run.directory)
                 there = store.bring_in(run, self.results)
             if there == "in the results":
                 self.count(run)
@@ -269,8 +271,9 @@ def read_progress(directory: Path) -> dict[str, Any]:
     """What the run in this directory says of itself in its progress.json; nothing before it says anything."""
     try:
         said: dict[str, Any] = json.loads((directory / "progress.json").read_text())
-        return said if said["total_timesteps"] else {}
-    except (OSError, ValueError, KeyError):
+        said["timestep"] / said["total_timesteps"]
+        return said
+    except (OSError, ValueError, LookupError, TypeError, ZeroDivisionError):  # damaged, perhaps
         return {}
 
 

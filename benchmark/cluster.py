@@ -9,7 +9,6 @@ need be.
 """
 
 import contextlib
-import ctypes
 import functools
 import importlib.util
 import json
@@ -34,7 +33,8 @@ import envs
 from benchmark import plan
 from benchmark.campaign import ONE_THREAD, ClusterLost
 from benchmark.plan import PlannedRun
-from envs.runs import provenance
+from envs.runs import ends_with_parent, place_arrived, provenance
+from envs.runs.directory import ARRIVED
 
 LOOK_SECONDS = 1.0  # between two looks at a run
 CHECKPOINT_SECONDS = 300.0  # between two checkpoints that come back
@@ -43,10 +43,8 @@ PIECE = 2**26  # bytes of a file that travel at once; Ray moves pieces to its di
 STAYS = {"lock", "progress.json"}  # files that do not travel with the others
 Files = dict[str, list[ray.ObjectRef[bytes]]]  # by name, the pieces of each, which Ray keeps somewhere
 RUN_FOLDERS = "marl-baselines-run-"  # how their names begin
-PR_SET_PDEATHSIG = 1  # of Linux's prctl: the process gets this signal when its parent dies
 ANSWER_SECONDS = 10.0  # a cluster that does not answer for so long is lost
 COUNT_SECONDS = 5.0  # between two looks at how many cores the cluster has
-LAST = ["checkpoint.previous.pt", "checkpoint.pt"]  # of the files that arrive: a checkpoint refers to the others
 
 
 # --- on the nodes ---
@@ -74,25 +72,22 @@ def read_files(directory: Path, largest_replay: float = math.inf) -> Files:
 
 
 def write_files(directory: Path, files: Files) -> None:
-    """Files that have arrived take the place of those that are there, the checkpoints last: where this is cut short,
-    the directory has none, and its script says so. A replay without a new one belongs to older checkpoints, and goes.
-    OSError on a full disk, RayError where pieces were lost with their node; both leave all as it was."""
-    directory.mkdir(parents=True, exist_ok=True)
-    arrived = {name: directory / f"{name}.new" for name in files}
+    """Files that have arrived take the place of those that are there, all or none: they are written into a folder, and
+    count once it has its name; see `place_arrived`. OSError on a full disk, RayError where pieces were lost with their
+    node; both leave all as it was."""
+    arriving = directory / f"{ARRIVED}.new"
+    arriving.mkdir(parents=True)
     try:
-        for name, place in arrived.items():
-            with open(place, "wb") as file:
-                file.writelines(ray.get(piece) for piece in files[name])
+        for name, pieces in files.items():
+            with open(arriving / name, "wb") as file:
+                file.writelines(ray.get(piece) for piece in pieces)
+                file.flush()
+                os.fsync(file.fileno())
     except (OSError, ray.exceptions.RayError):
-        for place in arrived.values():
-            place.unlink(missing_ok=True)
+        shutil.rmtree(arriving)
         raise
-    for path in directory.glob("checkpoint*.pt"):
-        path.unlink()
-    if "replay.bin" not in files:
-        (directory / "replay.bin").unlink(missing_ok=True)
-    for name in sorted(files, key=lambda name: LAST.index(name) if name in LAST else -1):
-        arrived[name].replace(directory / name)
+    arriving.rename(directory / ARRIVED)
+    place_arrived(directory)
 
 
 def make_folder() -> tuple[Path, filelock.FileLock]:
@@ -127,7 +122,7 @@ class Trainer:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=os.environ | ONE_THREAD,
-                preexec_fn=functools.partial(ctypes.CDLL(None).prctl, PR_SET_PDEATHSIG, signal.SIGKILL),
+                preexec_fn=ends_with_parent(),
             )
 
     def look(self, checkpoint: bool) -> dict[str, Any]:
@@ -180,7 +175,8 @@ class RayJob:
             if seen["files"]:
                 write_files(self.run.directory, self.with_commit(seen["files"]))
             if seen["progress"]:
-                (self.run.directory / "progress.json").write_bytes(seen["progress"])
+                with contextlib.suppress(OSError):  # it is only there to be looked at
+                    (self.run.directory / "progress.json").write_bytes(seen["progress"])
         except ray.exceptions.RayTaskError as error:  # the node's disk is full, for one
             return self.end(1, str(error.cause).encode())
         except ray.exceptions.RayError as error:
@@ -213,7 +209,8 @@ class RayJob:
         if code == 0:
             (self.run.directory / "progress.json").unlink(missing_ok=True)
         if log:
-            self.run.log.write_bytes(log)
+            with contextlib.suppress(OSError):
+                self.run.log.write_bytes(log)
         self.lock.release()
         return code
 

@@ -109,8 +109,9 @@ def main() -> None:
             print(f"{directory}: in {table_file}")
             collected.append(directory)
     if collected and args.results == store.RESULTS:
-        returns = last_returns()
-        kept = {keep_team(directory, returns): directory for directory in collected}
+        with store.lock(args.results):  # another collector's team may be better than what these returns say
+            returns = last_returns()
+            kept = {keep_team(directory, returns): directory for directory in collected}
         for place in filter(None, kept):
             print(f"{kept[place]}: its team is in {place}")
     if wrong:

@@ -7,15 +7,19 @@
     flags              all flags, but the seed and those of one run only
     changed            the flags that differ from the paper's; {} is the paper's setting and budget
     paper_timesteps    the paper's budget for this algorithm and task
-    seeds              for each: commit, version, script, python, versions, machine, fast_mkl, wall and CPU seconds
+    seeds              for each: commit, version, script, python, versions, machine, fast_mkl, wall and CPU seconds,
+                       rows (a hash of its lines in the CSV; results of older versions have none)
 
-The names are for people; programs read the JSON. A seed counts once the JSON lists it, so the CSV is written first.
+The names are for people; programs read the JSON. Both files are replaced at one moment, that of the JSON: before it the
+new table is there as .csv.new, and after it this is the table whose lines the JSON names, until it is the CSV.
 
 `load` gives all results as one table, `condition` says what is there of a run, and `collect` puts a complete run into
 the results.
 """
 
+import contextlib
 import functools
+import hashlib
 import io
 import itertools
 import json
@@ -135,14 +139,14 @@ def read_settings(path: Path) -> dict[str, Any]:
     return settings
 
 
-def read_evaluations(file: Path, columns: list[str]) -> pd.DataFrame:
+def parse_evaluations(content: bytes, file: Path, columns: list[str]) -> pd.DataFrame:
     """The evaluations of a run or of a table, as numbers. InputError where they are not as they were written.
 
-    columns: must be there, with a number in every row. The statistics that a family has beyond them may be missing:
-    a game that crashed has none.
+    file: that has this content. columns: must be there, with a number in every row. The statistics that a family has
+    beyond them may be missing: a game that crashed has none.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = content.decode()
         if not text.endswith("\n"):
             raise ValueError("it does not end with a whole line")
         table = pd.read_csv(io.StringIO(text))
@@ -156,21 +160,53 @@ def read_evaluations(file: Path, columns: list[str]) -> pd.DataFrame:
     return table
 
 
-def read_text(file: Path) -> pd.DataFrame:
+def parse_text(content: bytes) -> pd.DataFrame:
     """A CSV whose values stay the text that they are, so that no digit changes."""
-    return pd.read_csv(file, dtype=str, keep_default_na=False)
+    return pd.read_csv(io.BytesIO(content), dtype=str, keep_default_na=False)
 
 
-def read_table(path: Path, settings: dict[str, Any]) -> pd.DataFrame:
-    """A table's evaluations of the seeds that its settings list; path without its suffix.
+def hash_of_rows(content: bytes, seed: str) -> str:
+    """Names what a table has of a seed: its lines and the names of its columns."""
+    names, *lines = content.splitlines() or [b""]
+    rows = (line for line in lines if line.startswith(f"{seed},".encode()))
+    return hashlib.sha256(b"\n".join([names, *rows])).hexdigest()[:16]
+
+
+def read_files(path: Path) -> tuple[dict[str, Any], Path, bytes]:
+    """A table's settings, and its evaluations that belong to them: their file and what it holds, nothing where there is
+    none. path without its suffix. InputError where there are no such evaluations.
+
+    The file is .csv.new where a collector was killed, or is at work, between its two renames. Another one's next
+    renames may come between the readings here, so these are tried again.
+    """
+    for _ in range(3):
+        settings = read_settings(path)
+        named = {seed: origin["rows"] for seed, origin in settings["seeds"].items() if "rows" in origin}
+        for file in (Path(f"{path}.csv"), Path(f"{path}.csv.new")):
+            try:
+                content = file.read_bytes()
+            except FileNotFoundError:
+                content = b""
+            if all(hash_of_rows(content, seed) == rows for seed, rows in named.items()):
+                return settings, file, content
+    raise InputError(f"{path}.csv is damaged: it does not hold the evaluations that {path.name}.json names")
+
+
+def read_table(path: Path) -> tuple[dict[str, Any], pd.DataFrame]:
+    """A table's settings, and the evaluations of the seeds that they list; path without its suffix.
 
     InputError where it is damaged: each seed has the points 0, 1, ..., all equally many, up to the budget.
     """
-    file = Path(f"{path}.csv")
-    if not settings["seeds"] and not file.exists():
-        return pd.DataFrame()
-    table = read_evaluations(file, ["seed", *COLUMNS])
+    settings, file, content = read_files(path)
+    return settings, check_table(settings, file, content)
+
+
+def check_table(settings: dict[str, Any], file: Path, content: bytes) -> pd.DataFrame:
+    """What `read_table` gives, of files that were read."""
     seeds = sorted(int(seed) for seed in settings["seeds"])
+    if not seeds and not content:
+        return pd.DataFrame()
+    table = parse_evaluations(content, file, ["seed", *COLUMNS])
     table = table[table["seed"].isin(seeds)].sort_values(["seed", "point"])
     if not seeds:
         return table
@@ -192,9 +228,8 @@ def load(results: Path = RESULTS) -> pd.DataFrame:
     tables = []
     for file in sorted(results.glob("*/*.json")):
         path = file.with_suffix("")
-        settings = read_settings(path)
+        settings, table = read_table(path)
         flags = settings["flags"]
-        table = read_table(path, settings)
         columns = {
             "task": flags["env"],
             "family": family(flags["env"]),
@@ -257,7 +292,8 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     path = directory / "evaluations.csv"
     if not path.exists() or not path.stat().st_size:
         raise NotComplete("it is not complete")
-    numbers = read_evaluations(path, COLUMNS)
+    content = path.read_bytes()
+    numbers = parse_evaluations(content, path, COLUMNS)
     if list(numbers["point"]) != list(range(len(numbers))):
         raise InputError(f"{path} is damaged: evaluations are missing, there twice, or in another order")
     if numbers.empty or numbers["timestep"].iloc[-1] < config["flags"]["total_timesteps"]:
@@ -268,14 +304,13 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
             f"it was lengthened to the paper's budget and has {len(numbers)} evaluations instead of {planned}, so its "
             "best one does not compare with that of other runs"
         )
-    return config, read_text(path)
+    return config, parse_text(content)
 
 
 def has(run: Run, results: Path) -> bool:
     """Whether the results hold this run. InputError for a damaged table, and where `check_script` raises it."""
     path = table_path(results, run.algorithm, run.task, run.sharing, run.changed)
-    settings = read_settings(path)
-    read_table(path, settings)
+    settings, _ = read_table(path)
     there = str(run.seed) in settings["seeds"] and settings["changed"] == run.changed
     if there:
         check_script(path, run.algorithm, runs.script_hash(run.script), settings["seeds"].values())
@@ -337,7 +372,8 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
     """Puts a complete run into the results; gives the path of its table.
 
     Raises InputError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
-    then are as they were. Several processes may collect into the same folder.
+    then are as they were. Several processes may collect into the same folder. One that is killed leaves the results as
+    they were, or with the whole run.
     """
     config, rows = read_run(directory)
     flags = config["flags"]
@@ -347,9 +383,11 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
     )
     table_file, settings_file = Path(f"{path}.csv"), Path(f"{path}.json")
     with lock(results):
-        settings = read_settings(path)
-        read_table(path, settings)  # InputError where it is damaged
-        table = read_text(table_file) if table_file.exists() else pd.DataFrame({"seed": []})
+        settings, file, content = read_files(path)
+        check_table(settings, file, content)
+        if file != table_file:  # a collector was killed
+            runs.put(file, table_file)
+        table = parse_text(content) if content else pd.DataFrame({"seed": []})
         seed = str(flags["seed"])
         if not settings["seeds"] and set(table["seed"]) - {seed}:
             raise InputError(
@@ -362,15 +400,24 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
                 origin = settings["seeds"][seed].get("commit")
                 raise InputError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
         settings, table = merge(path, settings, table, config, rows)
-        text = table.to_csv(index=False, lineterminator="\n")
+        content = table.to_csv(index=False, lineterminator="\n").encode()
+        for number, origin in settings["seeds"].items():
+            origin["rows"] = hash_of_rows(content, number)
         table_file.parent.mkdir(exist_ok=True)
-        runs.write_whole(table_file, text)
-        runs.write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
+        new = Path(f"{path}.csv.new")
+        runs.write_new(new, content)
+        try:
+            runs.write_whole(settings_file, json.dumps(settings, indent=2) + "\n")
+        except OSError:
+            new.unlink()
+            raise
+        with contextlib.suppress(OSError):  # on Windows, where a spreadsheet has it open; the next collector does it
+            runs.put(new, table_file)
     return table_file
 
 
 def lock(results: Path) -> filelock.BaseFileLock:
-    """Held while a run is collected into these results. OSError where the folder cannot be written."""
+    """Held by who changes these results. OSError where the folder cannot be written."""
     results.mkdir(parents=True, exist_ok=True)
     (results / ".lock").touch()
     return filelock.FileLock(results / ".lock")
@@ -445,10 +492,11 @@ def keep_speeds(file: Path, task: str, speeds: dict[str, float], origin: dict[st
     """Puts the speeds of a task into the CSV, in place of those that it has, with the processor and the commit."""
     rows = pd.DataFrame({"task": task, "whose": list(speeds), "steps_per_second": map(round, speeds.values())})
     rows = rows.assign(processor=origin["machine"]["processor"], commit=origin["commit"])[SPEED_COLUMNS]
-    there = read_speeds(file)
-    others = there[there["task"] != task]
-    rows = pd.concat([others, rows]) if len(others) else rows
-    runs.write_whole(file, rows.to_csv(index=False, lineterminator="\n"))
+    with lock(file.parent):
+        there = read_speeds(file)
+        others = there[there["task"] != task]
+        rows = pd.concat([others, rows]) if len(others) else rows
+        runs.write_whole(file, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def paper_speeds() -> pd.Series:

@@ -1,5 +1,6 @@
 """The programs of benchmark/: runs are collected without loss, reported as the paper does, and the timing is timed."""
 
+import contextlib
 import csv
 import errno
 import io
@@ -9,12 +10,15 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from types import SimpleNamespace
 from typing import Any
 
+import filelock
 import numpy as np
 import pandas as pd
 import pytest
+from kills import full_everywhere, killed_everywhere
 from PIL import Image
 from scipy.stats import ttest_ind
 from scripts import NAMES, ROOT, load_module
@@ -117,6 +121,7 @@ def test_seeds_come_together_and_stay(run, tmp_path):
     assert settings["flags"] == {"env": "matrix-climbing", "total_timesteps": 2_500_000, "parameter_sharing": True}
     assert list(settings["seeds"]) == ["0", "1", "10"]
     assert settings["seeds"]["1"] == {
+        "rows": store.hash_of_rows(path.read_bytes(), "1"),
         **{"commit": "abc", "version": "0.1.0", "script": "123", "python": "3.11.7", "versions": {"torch": "2.13.0"}},
         **{"machine": {"cores": 2}, "fast_mkl": False, "wall_seconds": 1.2, "cpu_seconds": 0.5},
     }
@@ -317,6 +322,14 @@ def test_a_statistic_may_be_missing(tmp_path):
         store.collect(tmp_path / "run", tmp_path / "results")
 
 
+def as_older_versions_had_it(path):
+    """Without hashes of the seeds' rows."""
+    settings = json.loads(path.with_suffix(".json").read_text())
+    for origin in settings["seeds"].values():
+        del origin["rows"]
+    path.with_suffix(".json").write_text(json.dumps(settings))
+
+
 def lines_of(table, seed):
     return [line for line in table if line.startswith(f"{seed},")]
 
@@ -339,8 +352,26 @@ def test_a_damaged_table_is_named(tmp_path, damage):
     for seed in range(2):
         path = store.collect(make_run(tmp_path / str(seed), seed, returns=(0.0, 5.0, 10.5)), there)
     path.write_text("".join(damage(path.read_text().splitlines(keepends=True))), encoding="utf-8")
-    with pytest.raises(ValueError, match=f"{path.name} is damaged"):
+    for older in (False, True):
+        if older:
+            as_older_versions_had_it(path)
+        with pytest.raises(ValueError, match=f"{path.name} is damaged"):
+            store.load(there)
+
+
+def test_other_returns_than_those_that_were_collected_are_damage(tmp_path):
+    """Lines may end as on Windows, where Git changes them; and results of older versions name no rows."""
+    there = tmp_path / "results"
+    for seed in range(2):
+        path = store.collect(make_run(tmp_path / str(seed), seed), there)
+    text = path.read_bytes()
+    path.write_bytes(text.replace(b"\n", b"\r\n"))
+    assert len(store.load(there)) == 4
+    path.write_bytes(text.replace(b"10.5", b"10.6", 1))
+    with pytest.raises(ValueError, match=r"does not hold the evaluations that mappo-shared\.json names"):
         store.load(there)
+    as_older_versions_had_it(path)
+    assert set(store.load(there)["return_mean"]) == {0.0, 10.5, 10.6}
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".json"])
@@ -410,7 +441,7 @@ def test_nobody_listens(monkeypatch, run, tmp_path):
 
 
 def test_a_seed_counts_once_the_settings_list_it(tmp_path):
-    """A process that is killed between the two files leaves rows of a seed that is not listed."""
+    """As where an older version was killed between the two files."""
     path = store.collect(make_run(tmp_path / "0", 0), tmp_path / "results")
     settings = path.with_suffix(".json").read_text()
     store.collect(make_run(tmp_path / "1", 1), tmp_path / "results")
@@ -418,6 +449,122 @@ def test_a_seed_counts_once_the_settings_list_it(tmp_path):
     assert set(store.load(tmp_path / "results")["seed"]) == {0}
     store.collect(tmp_path / "1", tmp_path / "results")
     assert len(store.load(tmp_path / "results")) == 4
+
+
+class TestKills:
+    """A collector that is killed, or meets a full disk, at any file operation; with --replace a seed gets new returns,
+    from another commit."""
+
+    @pytest.fixture(params=["first seed", "second seed", "--replace", "--replace in older results"])
+    def collecting(self, request, tmp_path):
+        """A results folder, the run that is collected, and with --replace or without."""
+        before = tmp_path / "before"
+        before.mkdir()
+        for seed in range(0 if request.param == "first seed" else 2):
+            path = store.collect(make_run(tmp_path / f"seed{seed}", seed), before)
+        if "older" in request.param:
+            as_older_versions_had_it(path)
+        replace = "--replace" in request.param
+        run = make_run(tmp_path / "new", 1 if replace else 2, returns=(3.0, 4.0))
+        config = json.loads((run / "config.json").read_text())
+        (run / "config.json").write_text(json.dumps(config | {"commit": "def"}))
+        return before, run, replace
+
+    def rows(self, there):
+        """What the results say: seed, return and commit of each evaluation."""
+        if not list(there.glob("*/*.json")):
+            return []
+        return store.load(there)[["seed", "return_mean", "commit"]].to_numpy().tolist()
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+    def test_a_kill_leaves_all_as_it_was_or_the_whole_run(self, collecting, tmp_path):
+        before, run, replace = collecting
+        there, found = tmp_path / "there", []
+        for _ in killed_everywhere(before, there, lambda: store.collect(run, there, replace)):
+            found.append(self.rows(there))
+            store.collect(run, there, replace=True)
+            assert self.rows(there) == found[-1] or found[-1] == self.rows(before)
+            files = {file.name for file in there.rglob("*") if file.is_file()}
+            assert files == {".lock", "mappo-shared.csv", "mappo-shared.json"}
+        old, new = self.rows(before), self.rows(there)
+        assert old != new and len(found) > 6
+        assert found == [old] * found.count(old) + [new] * found.count(new) and found[-1] == new
+
+    def test_a_killed_collector_loses_nothing_to_the_next_ones(self, collecting, tmp_path):
+        """They collect another run: what was there, or what the killed one brought, stays beside it."""
+        before, run, replace = collecting
+        there, other = tmp_path / "there", make_run(tmp_path / "other", 7)
+        for _ in killed_everywhere(before, there, lambda: store.collect(run, there, replace)):
+            found = self.rows(there)
+            store.collect(other, there)
+            assert self.rows(there) == [*found, [7, 0.0, "abc"], [7, 10.5, "abc"]]
+
+    def test_a_full_disk_leaves_all_as_it_was(self, collecting, tmp_path):
+        before, run, replace = collecting
+        there, errors = tmp_path / "there", []
+        for error in full_everywhere(before, there, lambda: store.collect(run, there, replace)):
+            errors.append(error)
+            if error is None:  # there was another way
+                assert self.rows(there) != self.rows(before)
+            else:
+                assert self.rows(there) == self.rows(before) and not list(there.glob("*/*.new"))
+        assert len(errors) > 6
+
+
+def test_two_collectors_at_once_lose_no_seed(monkeypatch, tmp_path):
+    """They meet between reading the results and writing them, if nothing keeps the second one out."""
+    barrier, merge = threading.Barrier(2), store.merge
+
+    def meet(*words):
+        with contextlib.suppress(threading.BrokenBarrierError):
+            barrier.wait(timeout=0.5)
+        return merge(*words)
+
+    monkeypatch.setattr(store, "merge", meet)
+    made = [make_run(tmp_path / str(seed), seed) for seed in range(2)]
+    at_once(store.collect, [(run, tmp_path / "results") for run in made])
+    assert set(store.load(tmp_path / "results")["seed"]) == {0, 1}
+
+
+def test_two_timings_at_once_lose_no_task(monkeypatch, tmp_path):
+    barrier, read = threading.Barrier(2), store.read_speeds
+
+    def meet(file):
+        there = read(file)
+        with contextlib.suppress(threading.BrokenBarrierError):
+            barrier.wait(timeout=0.5)
+        return there
+
+    monkeypatch.setattr(store, "read_speeds", meet)
+    origin = {"machine": {"processor": "any"}, "commit": "abc"}
+    tasks = ("matrix-climbing", "lbf-5x5-2p-1f")
+    at_once(store.keep_speeds, [(tmp_path / "stepping.csv", task, {"ours": 1.0}, origin) for task in tasks])
+    assert set(read(tmp_path / "stepping.csv")["task"]) == set(tasks)
+
+
+def test_teams_are_kept_by_one_collector_at_a_time(monkeypatch, run, tmp_path):
+    """With the results' lock: a team that another one has kept meanwhile may be better than the returns say."""
+
+    def keep(directory, returns):
+        with pytest.raises(filelock.Timeout):
+            filelock.FileLock(tmp_path / "results" / ".lock", timeout=0).acquire()
+        kept.append(directory)
+
+    kept: list[Any] = []
+    monkeypatch.setattr(store, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(collect, "last_returns", lambda: "returns")
+    monkeypatch.setattr(collect, "keep_team", keep)
+    assert run(collect, make_run(tmp_path / "run"), "--results", tmp_path / "results").returncode == 0
+    assert kept == [tmp_path / "run"]
+
+
+def at_once(function, words):
+    """Calls it in a thread for each of the words."""
+    threads = [threading.Thread(target=function, args=each) for each in words]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
 
 
 def test_a_later_seed_may_lack_a_flag(tmp_path):
@@ -430,6 +577,7 @@ def test_a_later_seed_may_lack_a_flag(tmp_path):
 def test_each_seed_must_reach_the_end(tmp_path):
     for seed in (0, 1):
         path = store.collect(make_run(tmp_path / str(seed), seed), tmp_path / "results")
+    as_older_versions_had_it(path)
     text = path.read_text()
     for row in (2, 4):
         lines = text.splitlines()

@@ -11,6 +11,7 @@ import itertools
 import json
 import os
 import pty
+import random
 import signal
 import subprocess
 import sys
@@ -26,11 +27,12 @@ from typing import Any
 import pandas as pd
 import psutil
 import pytest
+from kills import full_everywhere, killed_everywhere
 
 import envs
 from benchmark import campaign as campaigns
 from benchmark import hyperparameters, measures, plan, run, store, tables
-from envs.runs import is_whole
+from envs.runs import is_whole, place_arrived
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCHMARK = ROOT / "benchmark"
@@ -119,7 +121,7 @@ def main():
         lock = filelock.FileLock(directory / "lock").acquire(timeout=0)
     except filelock.Timeout:
         sys.exit(print(f"{directory} is in use.", file=sys.stderr) or 2)
-    parent, killed = os.getppid(), directory.with_name("killed")
+    killed = directory.with_name("killed")
     found = [progress_of(directory / f"checkpoint{which}.pt") for which in ("", ".previous")]
     timestep, rows = next(filter(None, found), [0, []])
     print("begins at", timestep, flush=True)
@@ -153,8 +155,6 @@ def main():
         if args.trouble == "killed" or (args.trouble == "killed once" and rows[1:] and not killed.exists()):
             killed.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        if os.getppid() != parent:
-            os._exit(1)
         time.sleep(args.pace)
         timestep += 1
     (directory / "replay.bin").unlink(missing_ok=True)
@@ -528,18 +528,21 @@ class TestRunning:
             job.process.kill()
             job.process.wait()
 
+    @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the runs go on")
     @pytest.mark.slow
     def test_kill_9(self, tmp_path):
-        """Of the program and of all its runs, twice: the same command ends with the tables of a campaign in peace."""
+        """Of the program, twice: its runs end with it, and so the next one starts none beside them. The same command
+        ends with the tables of a campaign in peace."""
         words = ["--sharing", "both", "--seeds", 2, "--jobs", 2]
         flags = ["--", "--pace", "0.01"]
         table = Path("results/matrix-climbing/ia2c-shared-pace=0.01.csv")
         for begun in (folder_of(0, "ia2c-shared-pace=0.01") / "checkpoint.pt", table):
             process = psutil.Popen(driver(tmp_path, *words, *flags))
             wait_for(begun.exists)
-            for killed in (process, *process.children()):
-                killed.kill()
-            assert process.wait() == -signal.SIGKILL
+            started = process.children()
+            process.kill()
+            assert process.wait() == -signal.SIGKILL and started
+            wait_for(lambda started=started: not any(map(goes_on, started)))
         assert sum(len(seeds_of(path.stem)) for path in Path("results").rglob("*.csv")) < 4  # something is left to do
         assert subprocess.run(driver(tmp_path, *words, *flags)).returncode == 0
         peace = driver(tmp_path, *words, "--runs", "others", *flags)
@@ -549,6 +552,38 @@ class TestRunning:
             {path.name: path.read_bytes() for path in Path(there).rglob("ia2c*")} for there in ("results", "peace")
         ]
         assert len(found[0]) == 4 and found[0] == found[1]
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the runs go on")
+    @pytest.mark.slow
+    def test_kill_9_of_anything_at_random_moments(self, tmp_path):
+        """The program or a run, of the real scripts, with a replay and without: the results are those of peace."""
+
+        def command(place):
+            words = ["--algorithms", "ia2c", "iql", "--tasks", "lbf-5x5-2p-1f", "--seeds", "1", "--jobs", "2"]
+            flags = ["--total-timesteps", "4000", "--eval-points", "21", "--eval-episodes", "5", "--hidden-dim", "16"]
+            words += ["--results", f"{place}-results", "--runs", f"{place}-runs", "--", *flags]
+            return [sys.executable, "driver.py", str(ROOT), str(ROOT / "algos"), *words]
+
+        def saves():
+            return {path.read_bytes() for path in Path("war-runs").rglob("evaluations.csv")}
+
+        chance, left = random.Random(1), ["program", "run"] * 2
+        process = psutil.Popen(command("war"))
+        while left and goes_on(process):
+            before = saves()
+            wait_for(lambda process=process, before=before: saves() - before or not goes_on(process))
+            time.sleep(chance.uniform(0, 0.3))
+            victims = process.children() if left.pop(0) == "run" else [process]
+            for victim in victims[:1]:
+                victim.kill()
+            if victims == [process]:
+                process.wait()
+                process = psutil.Popen(command("war"))
+        assert len(left) < 2  # it has not ended before there was anything to kill
+        assert process.wait() == 0 and subprocess.run(command("peace")).returncode == 0
+        war, peace = (store.load(Path(f"{name}-results")).drop(columns=store.SECONDS) for name in ("war", "peace"))
+        assert len(war) == 42
+        pd.testing.assert_frame_equal(war, peace)
 
     @pytest.mark.slow
     def test_ctrl_c_stops_it_in_the_background_of_a_shell_script(self, tmp_path):
@@ -609,6 +644,11 @@ def wait_for(condition):
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def goes_on(process):
+    """Whether a process of psutil's has not ended; nobody may have asked how it did."""
+    return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
 
 
 def signal_when(path):
@@ -963,7 +1003,8 @@ class TestRay:
         cut_off: Any = {"checkpoint.pt": [b"new", b"lost"]}
         complete: Any = {"checkpoint.pt": [b"end"]}
         cluster.write_files(directory, new)
-        kept = {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"], "config.json": [b"old"]}
+        older = {"checkpoint.previous.pt": [b"old"], "config.json": [b"old"]}
+        kept = {"checkpoint.pt": [b"new", b"er"], "replay.bin": [b"new"], **older}
         assert cluster.read_files(directory) == kept and (directory / "lock").read_text() == "old"
 
         def get(piece):
@@ -974,9 +1015,9 @@ class TestRay:
         no_cluster.get = get
         with pytest.raises(ray.exceptions.RayError):
             cluster.write_files(directory, cut_off)
-        assert cluster.read_files(directory) == kept and not list(directory.glob("*.new"))
+        assert cluster.read_files(directory) == kept and not list(directory.glob("arrived*"))
         cluster.write_files(directory, complete)  # which has no replay any more
-        assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], "config.json": [b"old"]}
+        assert cluster.read_files(directory) == {"checkpoint.pt": [b"end"], **older}
 
     def test_a_checkpoint_without_its_replay_stays(self, tmp_path, no_cluster):
         from benchmark import cluster
@@ -988,25 +1029,58 @@ class TestRay:
         assert cluster.read_files(directory, 5) == {}
         assert sorted(cluster.read_files(directory, 100)) == ["checkpoint.pt", "replay.bin"]
 
-    def test_checkpoints_arrive_last(self, monkeypatch, tmp_path, no_cluster):
-        """Cut short after any file, the directory has no checkpoint, or whole ones and all that they refer to."""
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+    @pytest.mark.parametrize(
+        "there, comes",
+        [("nothing", "a replay"), ("a replay", "a replay"), ("a replay", "no replay"), ("no replay", "a replay")],
+    )
+    def test_a_kill_leaves_one_whole_set_of_files(self, there, comes, tmp_path, no_cluster):
+        """The old one or the new one: a checkpoint with another replay would be of no use. The next program that goes
+        on with the run puts the rest in its place."""
         from benchmark import cluster
 
-        order = []
-        replace = Path.replace
+        names = ["checkpoint.pt", "checkpoint.previous.pt", "config.json"]
+        with_replay = [*names, "replay.bin"]
+        old: Any = {name: [b"old"] for name in {"a replay": with_replay, "no replay": names, "nothing": []}[there]}
+        new: Any = {name: [b"new"] for name in {"a replay": with_replay, "no replay": names}[comes]}
+        before, directory, found = tmp_path / "before", tmp_path / "run", []
+        before.mkdir()
+        if old:
+            cluster.write_files(before, old)
+        for _ in killed_everywhere(before, directory, lambda: cluster.write_files(directory, new)):
+            checkpoint = directory / "checkpoint.pt"
+            if old or checkpoint.exists():  # whoever only reads it finds a whole one, too
+                assert checkpoint.read_bytes() in (b"old", b"new")
+            again = []
+            if (directory / "arrived").exists():  # the next program may be killed, too
+                for _ in killed_everywhere(directory, tmp_path / "again", lambda: place_arrived(tmp_path / "again")):
+                    place_arrived(tmp_path / "again")
+                    again.append(cluster.read_files(tmp_path / "again"))
+            place_arrived(directory)
+            found.append(cluster.read_files(directory))
+            assert again == [found[-1]] * len(again)
+            assert not [path for path in directory.iterdir() if path.name not in found[-1]]
+            cluster.write_files(directory, new)
+            assert cluster.read_files(directory) == new
+        assert found == [old] * found.count(old) + [new] * found.count(new)
+        assert found[0] == old and found[-1] == new and len(found) > 10
 
-        def noted(path, target):
-            order.append((target.name, sorted(other.name for other in tmp_path.glob("checkpoint*.pt"))))
-            return replace(path, target)
+    def test_a_full_disk_leaves_the_old_files(self, tmp_path, no_cluster):
+        """Until the new ones are written; then the next program that goes on with the run places them."""
+        from benchmark import cluster
 
-        monkeypatch.setattr(Path, "replace", noted)
-        for name in ("checkpoint.pt", "checkpoint.new.pt"):
-            (tmp_path / name).write_text("old")
-        names = ["checkpoint.pt", "checkpoint.previous.pt", "config.json", "replay.bin"]
-        new: Any = {name: [b"new"] for name in names}
-        cluster.write_files(tmp_path, new)
-        assert [name for name, _ in order[:2]] == ["config.json", "replay.bin"]
-        assert order[2:] == [("checkpoint.previous.pt", []), ("checkpoint.pt", ["checkpoint.previous.pt"])]
+        before, directory = tmp_path / "before", tmp_path / "run"
+        before.mkdir()
+        old: Any = {name: [b"old"] for name in ("checkpoint.pt", "replay.bin")}
+        new: Any = {name: [b"new"] for name in ("checkpoint.pt", "replay.bin")}
+        cluster.write_files(before, old)
+        found: list[Any] = []
+        for error in full_everywhere(before, directory, lambda: cluster.write_files(directory, new)):
+            assert error is not None or found
+            place_arrived(directory)
+            found.append(cluster.read_files(directory))
+            assert sorted(path.name for path in directory.iterdir()) == ["checkpoint.pt", "replay.bin"]
+        assert found == [old] * found.count(old) + [new] * found.count(new) and found.count(old) > 4
 
     def test_a_checkpoint_that_changes_meanwhile_does_not_travel(self, tmp_path, no_cluster):
         from benchmark import cluster

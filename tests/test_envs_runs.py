@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 import psutil
 import pytest
+from kills import full_everywhere, killed_everywhere, note_order
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import envs
@@ -45,6 +46,9 @@ class Args:
     watch: str = ""  # a run
     greedy: bool = False  # the best
     device: str = "cpu"  # where
+
+
+WRITTEN = ("lock", "config.json", "evaluations.csv")
 
 
 def open_directory(path: Path, **flags: Any) -> runs.RunDirectory:
@@ -165,6 +169,31 @@ class TestDirectory:
             self.save(directory, [*self.rows, {"point": 1, "timestep": 9, "return_mean": 0.0}])
         assert (tmp_path / "run" / "evaluations.csv").read_bytes() == before
 
+    def test_the_disk_has_a_checkpoint_before_it_takes_the_last_ones_place(
+        self, monkeypatch: Any, tmp_path: Path
+    ) -> None:
+        """And the new names, before anything is done that relies on them."""
+        directory = open_directory(tmp_path / "run")
+        self.save(directory, self.rows)
+        order = note_order(monkeypatch)
+        self.save(directory, self.rows)
+        assert order == [
+            "sync checkpoint.new.pt",
+            "checkpoint.pt -> checkpoint.previous.pt",
+            "checkpoint.new.pt -> checkpoint.pt",
+            "sync run",
+        ]
+        order.clear()
+        runs.write_whole(tmp_path / "run" / "config.json", "{}")
+        assert order == ["sync config.json.new", "config.json.new -> config.json", "sync run"]
+
+    def test_only_one_process_has_it(self, tmp_path: Path) -> None:
+        first = open_directory(tmp_path / "run")
+        with pytest.raises(InputError, match="Another run is using"):
+            open_directory(tmp_path / "run", resume=True)
+        first._lock.lock.release()
+        open_directory(tmp_path / "run", resume=True)._lock.lock.release()
+
     def test_seconds_add_up_and_never_run_backwards(self, monkeypatch: Any, tmp_path: Path) -> None:
         first = open_directory(tmp_path / "run")
         first._stopwatch = runs.Stopwatch(wall_seconds=100.0, cpu_seconds=50.0)
@@ -192,7 +221,7 @@ class TestDirectory:
         monkeypatch.setattr(Path, "replace", as_on_windows)
         more = [*self.rows, {"point": 1, "timestep": 5, "return_mean": 2.0}]
         self.save(directory, more)
-        assert "evaluations.csv is open in another program and stays as it is; it is" in capsys.readouterr().err
+        assert "evaluations.csv cannot be written (The process cannot access the file)" in capsys.readouterr().err
         saved = runs.last_checkpoint(tmp_path / "run")
         assert saved is not None and saved["rows"] == more and refused["checkpoint.pt"] == 0
         assert len((tmp_path / "run" / "evaluations.csv").read_text().splitlines()) == 2
@@ -258,6 +287,58 @@ class TestDirectory:
             (directory / name).write_text("mine")
         with pytest.raises(InputError, match="they are gone"):
             open_directory(directory, resume=True).checkpoint()
+
+
+class TestKills:
+    """A run that is killed, or meets a full disk, at any file operation of a save."""
+
+    def rows(self, timestep: int) -> list[dict[str, float]]:
+        return [{"point": point, "timestep": point, "return_mean": 0.5 * point} for point in range(timestep + 1)]
+
+    def go_on(self, path: Path, timestep: int) -> None:
+        """Opens the run, makes sure that its tables are those of its checkpoint, and saves at this timestep."""
+        directory = open_directory(path, resume=True)
+        try:
+            saved = directory.checkpoint()
+            if saved is not None:
+                with open(path / "evaluations.csv") as file:
+                    assert len(list(csv.DictReader(file))) == len(saved["rows"]) == saved["timestep"] + 1
+            directory.save(self.rows(timestep), timestep=timestep)
+        finally:
+            directory._lock.lock.release()
+
+    def before(self, path: Path, saves: int) -> Path:
+        """A run with so many saves."""
+        path.mkdir()
+        for timestep in range(saves):
+            self.go_on(path, timestep)
+        return path
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+    @pytest.mark.parametrize("saves", [0, 1, 3])
+    def test_a_kill_leaves_the_last_checkpoint_or_the_new_one(self, saves: int, tmp_path: Path) -> None:
+        before, path, found = self.before(tmp_path / "before", saves), tmp_path / "run", []
+        for _ in killed_everywhere(before, path, lambda: self.go_on(path, saves)):
+            saved = runs.last_checkpoint(path)
+            found.append(-1 if saved is None else saved["timestep"])
+            self.go_on(path, saves)
+            saved = runs.last_checkpoint(path)
+            assert saved is not None and saved["timestep"] == saves
+            assert {file.name for file in path.iterdir()} <= {*runs.directory.CHECKPOINTS[:2], *WRITTEN}
+        assert found == sorted(found) and set(found) == {saves - 1, saves} and len(found) > 8
+
+    @pytest.mark.parametrize("saves", [0, 3])
+    def test_a_full_disk_costs_no_checkpoint_and_keeps_no_torn_one(self, saves: int, tmp_path: Path) -> None:
+        """A table that cannot be written costs nothing at all: the next save does it."""
+        before, path, errors = self.before(tmp_path / "before", saves), tmp_path / "run", []
+        for error in full_everywhere(before, path, lambda: self.go_on(path, saves)):
+            saved = runs.last_checkpoint(path) if saves or error is None else {"timestep": -1}
+            assert saved is not None and saved["timestep"] in ((saves,) if error is None else (saves - 1, saves))
+            assert all(runs.is_whole(file) for file in path.glob("*.pt")) and not list(path.glob("*.new"))
+            errors.append(error)
+            self.go_on(path, saves)
+        assert None in errors and len(errors) > 8
+        assert any(str(error).endswith(f"'{path / 'checkpoint.new.pt'}'") for error in errors)
 
 
 class TestEpisodeFile:
@@ -345,6 +426,33 @@ class TestEpisodeFile:
         file.close()  # as `Run.complete` does
         directory.complete()
         assert not (tmp_path / "run" / "replay.bin").exists()
+
+    def test_a_damaged_slot_is_refused(self, tmp_path: Path) -> None:
+        """A flipped bit, anywhere in an episode that the run still needs."""
+        self.play(self.begin(tmp_path), range(1, 14))
+        path, size = tmp_path / "replay.bin", 20 + 4 + 8
+        whole = path.read_bytes()
+        for episode in range(4, 14):  # later ones have the slots of the first three
+            for byte in range(size):
+                damaged = bytearray(whole)
+                damaged[(episode - 1) % 10 * size + byte] ^= 4
+                path.write_bytes(damaged)
+                if episode < 8:
+                    self.begin(tmp_path, played=13)
+                    continue
+                with pytest.raises(InputError, match="is damaged: "):
+                    self.begin(tmp_path, played=13)
+
+    def test_a_file_of_an_older_version_has_no_check_sums(self, tmp_path: Path) -> None:
+        """The number of an episode had eight bytes, where now are four, and four of the check sum."""
+        file = self.begin(tmp_path)
+        self.play(file, range(1, 14))
+        older = np.dtype([("value", np.float32, 5), ("played", np.bool_, 4), ("number", np.int64)])
+        file.slots.view(older)["number"] = file.slots["number"]
+        again = self.begin(tmp_path, played=13)
+        assert again.read(np.array([13]))["value"][0, 0] == 13
+        self.play(again, range(14, 16))
+        self.begin(tmp_path, played=15)
 
     def test_another_file_is_refused(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="complete run deletes it"):
@@ -568,6 +676,27 @@ def test_lines_where_there_is_no_terminal(monkeypatch: Any, capsys: Any, tmp_pat
     lines = capsys.readouterr().err.splitlines()[1:]
     assert lines[0] == "step 100 of 1,000: return 0.500, 10 steps/s, 01:30 left"
     assert [line.split()[1] for line in lines] == ["100", "250:", "450", "850"]
+
+
+def test_a_run_goes_on_where_nobody_can_be_told_how(monkeypatch: Any, capsys: Any, tmp_path: Path) -> None:
+    """Neither progress.json nor TensorBoard's file can be written: one sentence, said once."""
+    (tmp_path / "progress.json.new").mkdir()
+    monkeypatch.setattr(runs.log, "PROGRESS_SECONDS", 0)
+    event_file = "tensorboard.summary.writer.event_file_writer.EventFileWriter"
+    log = runs.Log(tmp_path, Args(), 0, resumed=False)
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for name in ("add_event", "flush", "close", "__init__"):
+        monkeypatch.setattr(f"{event_file}.{name}", full)
+    for timestep in (100, 200):
+        log.batch(timestep, [1.0], [1.0], {})
+        log.evaluation(timestep, {"return_mean": 1.0})
+    log.close()
+    runs.Log(tmp_path, Args(), 0, resumed=False).close()
+    said = f"{tmp_path}: TensorBoard's file cannot be written (No space left on device); the run goes on without it."
+    assert capsys.readouterr().err.splitlines().count(said) == 2  # once for each of the two
 
 
 def test_a_full_disk_is_named(tmp_path: Path) -> None:

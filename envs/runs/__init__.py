@@ -21,11 +21,14 @@ from envs.runs.directory import (
     fitting_checkpoint,
     is_whole,
     last_checkpoint,
+    place_arrived,
+    put,
     read_checkpoint,
     renewed_config,
     run_path,
     safe_name,
     write_episodes,
+    write_new,
     write_whole,
 )
 from envs.runs.flags import (
@@ -46,6 +49,7 @@ from envs.runs.memory import forgotten
 from envs.runs.process import (
     StopSignals,
     Stopwatch,
+    ends_with_parent,
     keep_freed_memory,
     one_sentence,
     open_streams,

@@ -11,6 +11,7 @@ import math
 import os
 import re
 import shlex
+import shutil
 import sys
 import time
 import zipfile
@@ -25,9 +26,12 @@ from envs.runs.process import Stopwatch, project_version, provenance, say, scrip
 from envs.vector import EpisodeTotals, InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
+REPLAY = "replay.bin"
+ARRIVED = "arrived"  # a folder with files that have come back from a cluster, until each is in its place
 OTHER_FILES = (
     "lock",
-    "replay.bin",
+    REPLAY,
+    ARRIVED,
     "progress.json",
     "config.json",
     "evaluations.csv",
@@ -68,21 +72,65 @@ def put(new: Path, path: Path) -> None:
     new.replace(path)
 
 
+def write_new(new: Path, content: bytes | memoryview) -> None:
+    """Writes a file that is to take another one's place, and waits until the disk has it.
+
+    Raises OSError, on a full disk for example, and then leaves no file: a torn one would keep the disk full.
+    """
+    try:
+        with naming(new), open(new, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def keep_names(folder: Path) -> None:
+    """Waits until the disk has the new names of files in a folder, where the system can: Windows cannot."""
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
 def write_whole(path: Path, content: str | bytes) -> None:
     """Writes a file whole or not at all: whoever reads it finds the old content or the new one. Text is UTF-8.
 
     Raises OSError, on a full disk for example, and then leaves what was there.
     """
     new = path.with_name(f"{path.name}.new")
+    write_new(new, content.encode() if isinstance(content, str) else content)
     try:
-        with naming(new), open(new, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
         put(new, path)
     except OSError:
         new.unlink(missing_ok=True)
         raise
+    keep_names(path.parent)
+
+
+def place_arrived(directory: Path) -> None:
+    """Puts the files of the folder ARRIVED, which `benchmark/cluster.py` has written, in the places of older ones.
+
+    They belong together, as a checkpoint and its replay do, so a process that is killed in the middle leaves the rest
+    to the next one: whoever goes on with a run calls this first, and holds its lock. Files that arrived in part are
+    removed. The checkpoint comes first, as it does when a run saves; the replay comes last, so that while anything is
+    left one knows whether there is a new one. An old one without a new one belongs to older checkpoints, and goes.
+    """
+    shutil.rmtree(directory / f"{ARRIVED}.new", ignore_errors=True)
+    arrived = directory / ARRIVED
+    if not arrived.is_dir():
+        return
+    names = sorted(os.listdir(arrived), key=lambda name: (name != CHECKPOINTS[0], name == REPLAY))
+    if names and REPLAY not in names:
+        (directory / REPLAY).unlink(missing_ok=True)
+    for name in names:
+        put(arrived / name, directory / name)
+    arrived.rmdir()
+    keep_names(directory)
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -232,13 +280,14 @@ class RunDirectory:
             str(path).encode()  # TensorBoard writes it like this
             found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
             foreign = [name for name in found if not self._is_ours(name)]
-            begun = any(name.removesuffix(".new") in (*CHECKPOINTS, "progress.json") for name in found)
+            begun = any(name.removesuffix(".new") in (*CHECKPOINTS, ARRIVED, "progress.json") for name in found)
             if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
                 raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
-            if not args.resume and {*CHECKPOINTS[:2], "evaluations.csv"} & set(found):
+            if not args.resume and {*CHECKPOINTS[:2], ARRIVED, "evaluations.csv"} & set(found):
                 raise InputError(f"{path} holds a run: --resume goes on with it, another --run-dir begins a new one.")
             path.mkdir(parents=True, exist_ok=True)
             self._lock = filelock.FileLock(path / "lock").acquire(timeout=0)
+            place_arrived(path)
         except filelock.Timeout:
             raise InputError(f"Another run is using {path}.") from None
         except InputError:
@@ -259,9 +308,10 @@ class RunDirectory:
     def checkpoint(self) -> dict[str, Any] | None:
         """The last checkpoint, or None. The tables that people read are made again from it where they differ.
 
+        Without --resume there is none to go on with: what a first save has left without its name does not count.
         Raises InputError where it was made by another algorithm or with other flags.
         """
-        saved = last_checkpoint(self.path)
+        saved = last_checkpoint(self.path) if self.args.resume else None
         if saved is None:
             return None
         then, now = saved["config"], self.config
@@ -304,13 +354,11 @@ class RunDirectory:
         last, previous, new = (self.path / name for name in CHECKPOINTS)
         in_memory = io.BytesIO()  # on a full disk torch.save itself would end with a RuntimeError
         torch.save(saved, in_memory)
-        with naming(new), open(new, "wb") as file:
-            file.write(in_memory.getbuffer())
-            file.flush()
-            os.fsync(file.fileno())  # it takes the place of a good one
+        write_new(new, in_memory.getbuffer())
         if last.exists():
             put(last, previous)
         put(new, last)
+        keep_names(self.path)
         self._write_tables(saved)
         self._saved_at = time.monotonic()
 
@@ -320,21 +368,23 @@ class RunDirectory:
         return time.monotonic() - self._saved_at > SAVE_SECONDS
 
     def _write_tables(self, saved: Mapping[str, Any]) -> None:
+        """Writes what a checkpoint says for people. Where this fails nothing is lost, and the run goes on."""
         texts = {"evaluations.csv": as_csv(saved["rows"]), "config.json": json.dumps(saved["config"], indent=2) + "\n"}
         for name, text in texts.items():
             path = self.path / name
             try:
                 if not path.exists() or path.read_bytes() != text.encode():
                     write_whole(path, text)
-            except PermissionError:  # on Windows, where a spreadsheet has it open
-                say(f"{path} is open in another program and stays as it is; it is written at the next save.")
+            except OSError as error:  # a full disk; on Windows a spreadsheet that has it open
+                words = f"{path} cannot be written ({error.strerror}) and stays as it is"
+                say(f"{words}; the next save, or --resume, writes it.")
 
     def complete(self) -> None:
         """Deletes what only a running run needs, and says how to watch what has been learnt."""
-        for name in ("progress.json", "replay.bin"):
+        for name in ("progress.json", REPLAY):
             try:
                 (self.path / name).unlink(missing_ok=True)
-            except PermissionError as error:
+            except OSError as error:
                 say(f"{self.path / name} is no longer needed, but cannot be deleted: {error.strerror}.")
         script = Path(self.script).resolve()
         with contextlib.suppress(ValueError):  # it lies elsewhere

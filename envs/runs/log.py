@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 from tqdm import tqdm
 
 from envs import optional
-from envs.runs.directory import naming, write_whole
+from envs.runs.directory import write_whole
 from envs.runs.process import say
 from envs.vector import InputError
 
@@ -47,8 +47,8 @@ class Log:
                 wandb.init(id=identity, name=str(path), config=vars(args), resume="allow", sync_tensorboard=True)
             except wandb.errors.Error as error:  # nobody is logged in, for one
                 raise InputError(f"--track: {error}") from error
-        write_whole(path / "progress.json", "{}\n")  # on a full disk it ends here, and not in a thread of TensorBoard
         self.path, self.total = path, args.total_timesteps
+        self._write_progress({})
         self.sums_rewards = args.env.startswith("pettingzoo:") and not getattr(args, "individual_rewards", False)
         self.begun_at = self.timestep = timestep
         self.started = self.shown = self.said = time.monotonic()
@@ -57,7 +57,9 @@ class Log:
         self.returns: deque[float] = deque(maxlen=100)  # of the last training episodes
         self.lengths: deque[float] = deque(maxlen=100)
         threading.excepthook = show_error
-        self.writer = SummaryWriter(str(path), purge_step=timestep + 1 if resumed else None)
+        self.writer: SummaryWriter | None = None
+        with self._writing():
+            self.writer = SummaryWriter(str(path), purge_step=timestep + 1 if resumed else None)
         self.bar = tqdm(total=self.total, initial=timestep, unit=" steps", unit_scale=True, disable=None)
         say(f"This run is kept in {path}")
 
@@ -100,8 +102,7 @@ class Log:
                 "training_return": recent,
                 "evaluation_return": self.last_evaluation,
             }
-            with contextlib.suppress(PermissionError):  # somebody reads it, on Windows; the next one comes soon
-                write_whole(self.path / "progress.json", json.dumps(progress) + "\n")
+            self._write_progress(progress)
         said = "" if self.last_evaluation is None else f", evaluation {self.last_evaluation:.3f}"
         self.bar.set_postfix_str(f"return {recent:.3f}{said}", refresh=False)
         if self.bar.disable and now - self.said >= self.pause:
@@ -117,21 +118,40 @@ class Log:
             figures["training/steps_per_second"] = speed
             self._write(figures, timestep)
 
+    def _write_progress(self, progress: Mapping[str, Any]) -> None:
+        """Writes progress.json, or not: it is only there to be looked at, and the next one comes soon."""
+        path = self.path / "progress.json"
+        new = path.with_name(f"{path.name}.new")
+        with contextlib.suppress(OSError):
+            new.write_text(json.dumps(progress) + "\n")
+            new.replace(path)
+
     def _write(self, figures: Mapping[str, float], timestep: int) -> None:
         """Hands figures to TensorBoard, whose thread may have met an error since the last ones."""
-        with naming(self.path):
-            for name, value in figures.items():
-                self.writer.add_scalar(name, value, timestep)
+        if self.writer:
+            with self._writing():
+                for name, value in figures.items():
+                    self.writer.add_scalar(name, value, timestep)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Where TensorBoard's file cannot be written, says so once; the run goes on without it."""
+        try:
+            yield
+        except OSError as error:
+            self.writer = None
+            say(f"{self.path}: TensorBoard's file cannot be written ({error.strerror}); the run goes on without it.")
 
     def close(self) -> None:
         """Ends the progress bar and TensorBoard's file."""
         self.bar.close()
-        with naming(self.path):
-            self.writer.close()
+        if self.writer:
+            with self._writing():
+                self.writer.close()
 
 
 def show_error(failure: threading.ExceptHookArgs) -> None:
     """Shows what went wrong in a thread, but not in TensorBoard's: it keeps an error, such as a full disk, for the next
-    call of its writer, and so the main thread ends with a sentence."""
+    call of its writer, and so the main thread says it in a sentence."""
     if not type(failure.thread).__module__.startswith("tensorboard."):
         threading.__excepthook__(failure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import hashlib
 import importlib.metadata
 import math
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,17 @@ class StopSignals:
         """Ends the process as a shell expects it, with 128 plus the signal's number: 130, 143 or 129."""
         say(f"Stopped at step {timestep:,}; {self.advice}.")
         sys.exit(128 + (self.received or 0))
+
+
+def ends_with_parent() -> Callable[[], Any] | None:
+    """For `preexec_fn` of subprocess.Popen: the new process is killed when this one ends, however that happens.
+
+    None where the system is not Linux, which alone can do that.
+    """
+    pr_set_pdeathsig = 1  # as in sys/prctl.h
+    if sys.platform != "linux":
+        return None
+    return functools.partial(ctypes.CDLL(None).prctl, pr_set_pdeathsig, signal.SIGKILL)
 
 
 def with_flags(sentence: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ class EpisodeFile:
     """Episodes in one memory-mapped file, as many as a replay holds and some more.
 
     Episode number k, from 1 on, fills slot (k - 1) % n_slots. The spare slots keep what the last two checkpoints refer
-    to while later episodes are written, so that a checkpoint need not contain any episode.
+    to while later episodes are written, so that a checkpoint need not contain any episode. At its end a slot has the
+    number of its episode and a check sum of all before it, 0 in files of older versions.
     """
 
     def __init__(self, path: Path, fields: Mapping[str, NDArray[Any]], size: int, played: int) -> None:
@@ -28,7 +30,7 @@ class EpisodeFile:
 
         size: how many episodes the replay holds. played: episodes played so far; 0 makes a new file.
         Says on stderr what the file takes and what is free. Raises InputError where memory or disk is too small, and
-        where the file of a resumed run is gone, has another length or does not hold the last episodes.
+        where the file of a resumed run is gone, has another length or does not hold the last episodes as they were.
         """
         self.checkpoint_every = -(-size // 4)  # episodes
         self.names = list(fields)
@@ -40,7 +42,9 @@ class EpisodeFile:
                 f"An episode takes {episode / 2**20:,.0f} MiB, and a replay holds episodes of up to 2,047; {smaller}."
             )
         smaller = f"`buffer_size` makes it smaller, and {smaller}"
-        slot = np.dtype([*((name, x.dtype, x.shape) for name, x in fields.items()), ("number", np.int64)])
+        slot = np.dtype(
+            [*((name, x.dtype, x.shape) for name, x in fields.items()), ("number", "<u4"), ("check", "<u4")]
+        )
         room = n_slots * slot.itemsize
         mib = f"{room / 2**20:,.0f} MiB"
         memory = psutil.virtual_memory().available
@@ -65,8 +69,16 @@ class EpisodeFile:
                     os.posix_fallocate(file.fileno(), 0, room)
         self.slots: Any = np.memmap(path, slot, "r+")
         numbers = np.arange(max(played - size, 0), played) + 1
-        if not np.array_equal(self.slots["number"][(numbers - 1) % n_slots], numbers):
+        chosen = (numbers - 1) % n_slots
+        if not np.array_equal(self.slots["number"][chosen], numbers):
             raise InputError(f"{path} is damaged: it does not hold the last episodes of this run.")
+        for number, k in zip(numbers.tolist(), chosen.tolist()):
+            if self.slots["check"][k] not in (0, self.check_sum(k)):
+                raise InputError(f"{path} is damaged: episode {number} is not as it was written.")
+
+    def check_sum(self, k: int) -> int:
+        """Of what slot k holds before its check sum."""
+        return zlib.crc32(self.slots[k : k + 1].view(np.uint8)[:-4])
 
     def flush(self) -> None:
         """Writes what is still in memory only: a checkpoint refers to what it finds on the disk."""
@@ -78,11 +90,13 @@ class EpisodeFile:
 
     def write(self, number: int, episode: Mapping[str, NDArray[Any]]) -> None:
         """Writes an episode; its arrays may be shorter than the fields."""
-        slot = self.slots[(number - 1) % len(self.slots)]
+        k = (number - 1) % len(self.slots)
+        slot = self.slots[k]
         slot["number"] = number
         slot["played"] = False
         for name in self.names:
             slot[name][: len(episode[name])] = episode[name]
+        slot["check"] = self.check_sum(k)
 
     def read(self, numbers: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """The episodes of these numbers, [episode, time, ...] for each field, cut to the longest of them."""
