@@ -506,6 +506,17 @@ class TestRunning:
         assert list(work.waiting) == runs[1:]
         assert work.failed == {runs[0].directory: "its node was lost; it was lost 4 times"}
 
+    def test_what_a_killed_campaign_on_a_cluster_left_counts(self, monkeypatch):
+        """The last files of a run had come back, but were not in their places."""
+        assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
+        arrived = folder_of(0) / "arrived"
+        arrived.mkdir()
+        for path in folder_of(0).glob("*.*"):
+            path.rename(arrived / path.name)
+        monkeypatch.setattr(run, "LocalJob", None)  # no run may start
+        assert campaign(monkeypatch, "--seeds", 1) == 0
+        assert seeds_of("ia2c-shared") == {0: 20.0} and not arrived.exists()
+
     def test_a_killed_run_goes_on(self, monkeypatch, capsys):
         """As by the kernel, out of memory; but not for ever."""
         logs = keep_logs(monkeypatch)
@@ -745,7 +756,7 @@ class TestTwoCampaigns:
 class TestView:
     def test_progress_from_what_a_run_writes(self, tmp_path):
         planned = plan_of(tmp_path)
-        for text in (None, "{}"):
+        for text in (None, "{}", "[]", "null", "3", '{"timestep": "a", "total_timesteps": 1}', "{"):
             if text:
                 (tmp_path / "progress.json").write_text(text)
             assert campaigns.share_done(tmp_path) == 0 and campaigns.table_row(planned).split()[3:] == ["0", "0%"]

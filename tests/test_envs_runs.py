@@ -4,6 +4,7 @@ import csv
 import errno
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -271,6 +272,34 @@ class TestDirectory:
         for name in left:
             (tmp_path / name).write_bytes(b"begun")
         assert open_directory(tmp_path, resume=resume).checkpoint() is None
+
+    @pytest.mark.parametrize("resume", [False, True])
+    def test_a_first_checkpoint_that_has_no_name_yet(self, resume: bool, tmp_path: Path) -> None:
+        """A run that goes on takes it; one that begins anew, here with other flags, does not."""
+        first = open_directory(tmp_path / "run")
+        self.save(first, self.rows)
+        first._lock.lock.release()
+        for name in ("evaluations.csv", "config.json"):
+            (tmp_path / "run" / name).unlink()
+        (tmp_path / "run" / "checkpoint.pt").rename(tmp_path / "run" / "checkpoint.new.pt")
+        flags: dict[str, Any] = {"resume": True} if resume else {"gamma": 0.5}
+        saved = open_directory(tmp_path / "run", **flags).checkpoint()
+        assert (saved is not None and saved["timestep"] == 5) if resume else saved is None
+
+    def test_what_came_back_from_a_cluster_is_placed(self, tmp_path: Path) -> None:
+        """A campaign was killed before it did so, when a run's first files had come back, or only a part of them."""
+        first = open_directory(tmp_path / "run")
+        self.save(first, self.rows)
+        first._lock.lock.release()
+        for name, whole in (("arrived", True), ("arrived.new", False)):
+            (tmp_path / name).mkdir()
+            shutil.copytree(tmp_path / "run", tmp_path / name / name, ignore=shutil.ignore_patterns("lock"))
+            if whole:
+                with pytest.raises(InputError, match="holds a run: --resume goes on with it"):
+                    open_directory(tmp_path / name)
+            saved = open_directory(tmp_path / name, resume=True).checkpoint()
+            assert (saved is not None and saved["rows"] == self.rows) == whole
+            assert not list((tmp_path / name).glob("arrived*"))
 
     def test_a_run_that_is_lengthened_says_where_its_evaluations_lie(self, tmp_path: Path, capsys: Any) -> None:
         first = open_directory(tmp_path)
