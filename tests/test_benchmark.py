@@ -706,7 +706,7 @@ def test_the_signs_of_cells():
         text = tables.markdown(
             tables.compare(cells, store.paper_cells(), {("matrix-climbing", "shared"): planned}), "max_return", "shared"
         )
-        assert f"9.00 ± 0.00** {sign} |" in text
+        assert f"9.00 ± 0.00 {sign} |" in text
     averages = tables.markdown(both, "average_return", "shared").splitlines()
     for lines in (averages, tables.markdown(both, "max_return", "shared").splitlines()):
         assert dict(zip(header.split(" | "), lines[4].split(" | ")))["IA2C"] == "-"  # another budget
