@@ -39,11 +39,13 @@ myst_html_meta = {"description": "Nine cooperative multi-agent RL algorithms, on
 smartquotes = False
 copybutton_exclude = ".linenos, .gp"
 
+python_maximum_signature_line_length = 90
+
 html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_js_files = [("charts.js", {"defer": "defer"}), ("tables.js", {"defer": "defer"})]  # charts.js loads vega.js
-html_favicon = "static/favicon.svg"
+html_favicon = html_logo = "static/favicon.svg"
 html_copy_source = False
 html_use_index = False
 html_show_sphinx = False

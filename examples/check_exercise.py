@@ -2,9 +2,14 @@
 
     python examples/check_exercise.py vdn mine.py
 
-plays five recorded updates of VDN in mine.py and says which quantity differs first, or that none does. The first word
-is the algorithm that mine.py should be: one of the nine. mine.py has the form of the scripts in algos/: `Args`,
-`MultiAgentNetwork`, `Batch`, `new_storage`, `collect`, `update` (and `Mixer` for qmix).
+plays five recorded updates of VDN in mine.py and says which quantity differs first, or that none does. Then it trains
+with mine.py for a moment. The first word is the algorithm that mine.py should be: one of the nine. mine.py has the form
+of the scripts in algos/: `Args`, `paper_defaults`, `MultiAgentNetwork`, `Batch`, `new_storage`, `collect`, `update`
+(and `Mixer` for qmix). `--hint 1` also says where to look, and `--hint 2` what for.
+
+    python examples/check_exercise.py mappo_yu mine.py
+
+holds `gae` of mine.py, with the arguments that examples/mappo_yu.py gives it, against estimates made by hand.
 
 Exit code 0: nothing differs; 1: something does, or the script stops; 2: wrong input.
 `tests/data/updates/README.md` says how the updates were recorded; `tests/test_algos_recorded.py` plays them in the
@@ -17,7 +22,10 @@ import contextlib
 import dataclasses
 import importlib.util
 import json
+import re
+import subprocess
 import sys
+import tempfile
 import traceback
 from collections import defaultdict
 from collections.abc import Iterator
@@ -30,6 +38,9 @@ import numpy as np
 import torch
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+import envs
+
+TASK = "lbf-5x5-2p-1f"  # for what has no task of its own
 UPDATES = Path(__file__).resolve().parents[1] / "tests/data/updates"
 N_AGENTS, N_ACTIONS, OBS_SIZE = 3, 5, 7
 CASES = ["fc_shared", "gru_shared", "fc_independent", "gru_independent"]
@@ -255,57 +266,162 @@ class StandStill:
         return np.ones(observations.shape[:2], np.int64)
 
 
-def wrong_in_collect(module: Any) -> str:
-    """What differs in the experience that `collect` gathers, as a sentence; empty where nothing does."""
+def wrong_in_collect(module: Any) -> "Finding | None":
+    """What differs in the experience that `collect` gathers."""
     args, env = dataclasses.replace(module.paper_defaults(), time_limit="bootstrap"), TwoEpisodes()
     batch, returns = module.collect(args, env, StandStill(), module.new_storage(args, env))
     if batch.played.tolist() != [[True, True], [True, True], [False, True]]:
-        return "`played` is not True for the steps up to an episode's end, the last one included, and False after it"
-    if batch.rewards[..., 0][batch.played].tolist() != [1, 1, 2, 2, 3]:
-        return "`rewards` are not those of the steps"
-    if list(returns)[1] != 6:
-        return f"the return of an episode with the rewards 1, 2, 3 is {list(returns)[1]:g}, and should be 6"
-    if not batch.no_bootstrap[1, 0]:
-        return "`no_bootstrap` is False where the game was over: a value is added that nobody can earn"
-    if batch.no_bootstrap[2, 1]:
-        return "`no_bootstrap` is True after a time-out: the game would have gone on, and its value is cut off"
-    return ""
+        found = "`played` of two episodes, of two and of three steps, is not as it should be", PLAYED_HINTS
+    elif batch.rewards[..., 0][batch.played].tolist() != [1, 1, 2, 2, 3]:
+        found = "`rewards` are not those of the steps", REWARD_HINTS
+    elif list(returns)[1] != 6:
+        found = (
+            f"the return of an episode with the rewards 1, 2, 3 is {list(returns)[1]:g}, and should be 6",
+            REWARD_HINTS,
+        )
+    elif not batch.no_bootstrap[1, 0] or batch.no_bootstrap[2, 1]:
+        found = "`no_bootstrap` of two episodes is not as it should be", END_HINTS
+    else:
+        return None
+    return Finding(f"collect: {found[0]}.", found[1])
 
 
 # --- in words ---
-HINTS = {
-    "loss": "What goes into it is the target, the values, the mean over agents and played steps.",
-    "gradient": "The loss before it agrees: look at what is detached, at no_grad and at which parameters are stepped.",
-    "weights": "The loss and the norm of its gradient before it agree: look at clipping and at the optimiser's step.",
-    "target": "The networks that learn agree before it: look at when and how far targets follow them.",
+Hints = tuple[str, str]  # where to look, and what for
+
+
+class Finding(NamedTuple):
+    """What is wrong, and the hints, which are said on request."""
+
+    what: str
+    hints: Hints = ("", "")
+
+
+PLAYED_HINTS = (
+    "Write down by hand which of the three steps each of the two episodes has played.",
+    "The last step of an episode is played, those after it are not: when is a flag of the end noted?",
+)
+REWARD_HINTS = (
+    "Print what `env.step` gives in each step, and what the batch then holds.",
+    "Is every step's reward there once, at its own place, and the last one, too?",
+)
+END_HINTS = (
+    "One of the two episodes ends because the game is over, the other one because the time is.",
+    "`no_bootstrap` leaves out the value behind an episode's last step. After which of the two ends is there one?",
+)
+HINTS: dict[str, Hints] = {
+    "loss": (
+        "Print each part of the loss for one step: the values, the targets, and the numbers over which its mean goes.",
+        "Hold each part, also its shape, against the formula on the algorithm's page: docs/algorithms/{name}.md.",
+    ),
+    "gradient": (
+        "The loss before it agrees. So the number is right, and the way in which it depends on the networks is not.",
+        "Look at what is detached, at no_grad, and at which parameters are stepped.",
+    ),
+    "weights": (
+        "The loss and the norm of its gradient agree before it. So look behind `backward`.",
+        "Look at clipping, and at how often and with what the optimiser steps.",
+    ),
+    "target": (
+        "The networks that learn agree before it. So look at those that follow them.",
+        "Is there a line that moves them, how far does it, and in which updates?",
+    ),
 }
 
 
-def in_words(case: str, found: Quantity) -> str:
+def in_words(case: str, found: Quantity, name: str) -> Finding:
     """A quantity that differs."""
     where = f"{case}, update {found.update + 1} of 5"
+    first, second = HINTS["target" if found.part.startswith("target") else found.what]
+    hints = first, second.format(name=name)
     if found.what == "weights":
-        hint = HINTS["target" if found.part.startswith("target") else "weights"]
         if found.ours.shape != found.theirs.shape:
             what = f"the weights are {len(found.ours)} instead of {len(found.theirs)} numbers"
         else:
             what = f"the weights are off by up to {(found.ours - found.theirs).abs().max():.2g}"
-        return f"{where}: after it, {what} in {PARTS[found.part]}. {hint}"
-    name = {"loss": f"`{LOSSES[found.part]}`", "gradient": f"the norm of the {found.part} gradient"}[found.what]
+        return Finding(f"{where}: after it, {what} in {PARTS[found.part]}.", hints)
+    quantity = {"loss": f"`{LOSSES[found.part]}`", "gradient": f"the norm of the {found.part} gradient"}[found.what]
     ours, theirs = (", ".join(f"{x:.8g}" for x in values.flatten().tolist()) for values in (found.ours, found.theirs))
-    return f"{where}: {name} is {ours or 'never computed'}, and should be {theirs}. {HINTS[found.what]}"
+    return Finding(f"{where}: {quantity} is {ours or 'never computed'}, and should be {theirs}.", hints)
 
 
-def check(module: Any, name: str) -> str:
-    """The first difference in words; empty where there is none."""
+SIZES = (
+    f"of {N_AGENTS} agents, with {N_ACTIONS} actions and observations of {OBS_SIZE} values; a state is these "
+    f"{N_AGENTS * OBS_SIZE} values side by side, but in gru_shared it may have values of its own"
+)
+
+
+def shapes_in_words(error: str, where: str) -> str:
+    """PyTorch's message on shapes that do not fit as a sentence; the message itself where it is another one."""
+    if found := re.search(r"mat1 and mat2 shapes cannot be multiplied \(\d+x(\d+) and (\d+)x\d+\)", error):
+        return f"a network that was built for {found[2]} inputs is given {found[1]}{where}"
+    if found := re.search(r"size of tensor a \((\d+)\) must match the size of tensor b \((\d+)\)", error):
+        return f"two tensors do not fit, since one has {found[1]} and the other {found[2]} entries along an axis{where}"
+    return error
+
+
+def check(module: Any, name: str) -> Finding | None:
+    """The first difference; None where there is none."""
     if wrong := wrong_in_collect(module):
-        return f"collect: {wrong}."
+        return wrong
     for case in CASES:
         with double_precision():
             for found in replay(module, name, case):
                 if not found.agrees():
-                    return in_words(case, found)
-    return ""
+                    return in_words(case, found, name)
+    return None
+
+
+def stops(path: Path, name: str, error: Exception) -> Finding:
+    """What an error of the student's file says, in a sentence."""
+    last = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    line = f", line {last[-1].lineno}" if last else ""
+    said = shapes_in_words(str(error), f" ({SIZES})")
+    return Finding(f"{path}{line} stops: {'' if said != str(error) else f'{type(error).__name__}: '}{said}")
+
+
+def wrong_in_training(path: Path) -> Finding | None:
+    """What a short training of the whole script says where it stops."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [sys.executable, str(path), "--env", TASK, "--total-timesteps", "2000", "--eval-points", "2"]
+        words += ["--eval-episodes", "2", "--run-dir", f"{folder}/run"]
+        done = subprocess.run(words, capture_output=True, text=True)
+    if done.returncode == 0:
+        return None
+    *_, last = done.stderr.strip().splitlines() or ["it said nothing"]
+    env = envs.make(TASK)
+    sizes = f" (an observation of {TASK} has {env.obs_size} values, its state {env.state_size})"
+    return Finding(
+        f"The updates are right, but a training with {path} stops: {shapes_in_words(last, sizes)}.",
+        (
+            "The check of the updates builds the networks itself. Here `train` builds them.",
+            "Which of the two sizes does `train` give to each network?",
+        ),
+    )
+
+
+def wrong_in_gae(module: Any) -> Finding | None:
+    """What differs in `gae`, for gamma and lambda 1/2, after a time-out and after a real end."""
+    rewards = torch.tensor([1.0, 2.0, 3.0])[:, None, None].expand(-1, 2, 1)  # [time, env, 1]
+    values = torch.tensor([10.0, 20.0, 30.0, 40.0])[:, None, None].expand(-1, 2, 1)  # [time + 1, env, agent]
+    no_bootstrap = torch.tensor([[False, False], [False, False], [False, True]])  # [time, env]
+    found = module.gae(rewards, values, torch.ones(3, 2, dtype=torch.bool), no_bootstrap, 0.5, 0.5)
+    if found.shape != (3, 2, 1):
+        return Finding(f"gae: its shape is {[*found.shape]}, and should be [time, env, agent], here [3, 2, 1].")
+    for k, (end, expected) in enumerate(BY_HAND.items()):
+        if found[:, k, 0].tolist() != expected:
+            text = f"gae: after {end} the advantages are {found[:, k, 0].tolist()}, and should be {expected}."
+            return Finding(text, GAE_HINTS)
+    return None
+
+
+GAE = "mappo_yu"
+UPDATES_ARE_RIGHT = "collect is right, 5 updates in 4 cases are those of EPyMARL's {}"
+BY_HAND = {"a time-out": [-0.1875, -4.75, -7.0], "a real end": [-1.4375, -9.75, -27.0]}
+GAE_HINTS = (
+    "Begin with the last step, where the estimate is one error: reward plus discounted next value minus value.",
+    "An earlier one is its own error plus gamma times lambda times the one behind it. What is the value after an end?",
+)
 
 
 def load(path: Path) -> ModuleType:
@@ -323,22 +439,27 @@ def load(path: Path) -> ModuleType:
 def main() -> None:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("algorithm", choices=sorted(TOLERANCES), help="what the script should be")
+    parser.add_argument("algorithm", choices=[*sorted(TOLERANCES), GAE], help="what the script should be")
     parser.add_argument("script", type=Path, help="your file")
+    parser.add_argument(
+        "--hint", type=int, default=0, choices=[1, 2], help="1: also say where to look; 2: and what for"
+    )
     args = parser.parse_args()
     try:
-        difference = check(load(args.script), args.algorithm)
+        module = load(args.script)
+        found = wrong_in_gae(module) if args.algorithm == GAE else check(module, args.algorithm)
+        found = found or wrong_in_training(args.script)
     except InputError:
         raise
     except Exception as error:  # whatever a student's file does
-        last = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(args.script)]
-        where = f", line {last[-1].lineno}" if last else ""
-        print(f"{args.script}{where} stops: {type(error).__name__}: {error}")
+        found = stops(args.script, args.algorithm, error)
+    if found:
+        print(" ".join([found.what, *found.hints[: args.hint]]).strip())
+        if args.hint == 0 and found.hints[0]:
+            print("(--hint 1 says where to look.)")
         sys.exit(1)
-    if difference:
-        print(difference)
-        sys.exit(1)
-    print(f"{args.script}: collect is right, and 5 updates in 4 cases are those of EPyMARL's {args.algorithm.upper()}.")
+    checked = "gae is right" if args.algorithm == GAE else UPDATES_ARE_RIGHT.format(args.algorithm.upper())
+    print(f"{args.script}: {checked}, and it trains.")
 
 
 if __name__ == "__main__":

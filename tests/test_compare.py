@@ -131,39 +131,39 @@ def test_wrong_input_ends_in_one_sentence(monkeypatch, capsys, tmp_path):
 
 @pytest.mark.slow
 def test_the_pages_way(tmp_path):
-    """A copy of the repository in which the page's commands are run, the trainings with a tenth of their steps."""
+    """A copy of the repository in which the page's commands are run, in its second comparison with a tenth of the
+    steps."""
     for folder in ("algos", "benchmark"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "teams", "figures"))
     text = (ROOT / "docs/how-to/compare-mine.md").read_text()
     small, large = text.split("## At the paper's size")
-    copy, train, show = commands(small)
-    run(tmp_path, copy)
-    [removed], [added] = re.findall(r"(?m)^-( .*\n)", small), re.findall(r"(?m)^\+( .*\n)", small)
-    mine = tmp_path / "algos/mine.py"
-    changed = mine.read_text().replace(removed, added)
-    assert changed != mine.read_text()
-    mine.write_text(changed)
-    run(tmp_path, [word.replace("100000", "10000") for word in train])
-    said = run(tmp_path, show)
-    runs = pd.concat(pd.read_csv(file) for file in tmp_path.glob("my-results/*/*.csv"))
-    assert len(runs[runs["point"] == runs["point"].max()]) == 6
-    page = (tmp_path / "my-comparison/comparison.md").read_text()
-    assert said == page + "\n" and page.startswith("# mine and mappo\n\n")
-    assert re.search(r"\* (You may claim|No difference may be claimed)", page)
-    assert page.count("| 3 | ") == 2 and "curves.png" in page
-    with Image.open(tmp_path / "my-comparison/curves.png") as image:
-        assert image.width > 500
+    claims = "You may claim: on matrix-climbing,", "No difference may be claimed on lbf-5x5-2p-1f,"
+    for part, expected in zip(small.split("## A difference that may")[1:], claims):
+        copy, train, show = commands(part)
+        run(tmp_path, copy)
+        [diff] = re.findall(r"```diff\n(.*?)```", part, flags=re.DOTALL)
+        removed, added = ("".join(re.findall(rf"(?m)^{re.escape(sign)}(.*\n)", diff)) for sign in "-+")
+        mine = tmp_path / copy[-1]
+        assert mine.read_text().count(removed) == 1
+        mine.write_text(mine.read_text().replace(removed, added))
+        run(tmp_path, [word.replace("100000", "10000") for word in train])  # which only the second has
+        said = run(tmp_path, show)
+        page = (tmp_path / show[-1] / "comparison.md").read_text()
+        assert said == page + "\n" and f"\n* {expected}" in page
+        assert page.count("| 3 | ") == 2
+        with Image.open(tmp_path / show[-1] / "curves.png") as image:
+            assert image.width > 500
     # The committed results in the place of the baseline's runs.
     _, train, show = commands(large)  # the first is a dry run
     (task,) = {word for words in (train, show) for word in words if word.startswith("lbf-")}
-    settings = RESULTS / task / "ippo-shared.json"  # in the place of mine's runs of hours
+    settings = RESULTS / task / "vdn-shared.json"  # in the place of mine's runs of hours
     for file in (settings, settings.with_suffix(".csv")):
-        target = tmp_path / "paper-results" / task / file.name.replace("ippo", "mine")
+        target = tmp_path / "paper-results" / task / file.name.replace("vdn", "mine")
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(file.read_text().replace('"algorithm": "ippo"', '"algorithm": "mine"'))
+        target.write_text(file.read_text().replace('"algorithm": "vdn"', '"algorithm": "mine"'))
     run(tmp_path, [word.replace("benchmark/results", str(RESULTS)) for word in show])
     page = (tmp_path / "paper-comparison/comparison.md").read_text()
-    assert f"| {task}, with parameter sharing | mappo | " in page
+    assert f"| {task}, with parameter sharing | iql | " in page
 
 
 def commands(text: str) -> list[list[str]]:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from scripts import ROOT, load_module
@@ -18,10 +19,10 @@ recordings = load_module(ROOT / "tools/recordings.py")
 
 @pytest.fixture
 def checked(monkeypatch, capsys):
-    """checked(algorithm, path): the exit code of check_exercise.py and what it says."""
+    """checked(algorithm, path, ...): the exit code of check_exercise.py and what it says."""
 
-    def here(algorithm, path):
-        monkeypatch.setattr(sys, "argv", ["check_exercise.py", algorithm, str(path)])
+    def here(algorithm, path, *more):
+        monkeypatch.setattr(sys, "argv", ["check_exercise.py", algorithm, str(path), *more])
         monkeypatch.setitem(sys.modules, path.stem, None)  # so that afterwards all is as it was
         code: Any = 0
         try:
@@ -46,7 +47,7 @@ def changed(path, algorithm, *replacements):
 
 FOUND = {
     1: "fc_shared, update 1 of 5: `loss/value` is ",
-    2: "collect: `no_bootstrap` is True after a time-out",
+    2: "collect: `no_bootstrap` of two episodes is not as it should be.",
     3: "fc_shared, update 1 of 5: after it, the weights are off by up to ",
 }
 
@@ -59,10 +60,14 @@ def test_each_planted_fault_is_found(checked, tmp_path, monkeypatch, number):
     plant_fault.main()
     original = ROOT / "algos" / f"{fault['script']}.py"
     assert path.read_text() == changed(tmp_path / "x.py", fault["script"], (fault["right"], fault["wrong"])).read_text()
+    monkeypatch.setattr(check_exercise, "wrong_in_training", lambda path: None)  # which takes a while
     assert checked(fault["script"], original)[0] == 0
     code, said = checked(fault["script"], path)
     assert code == 1 and said.startswith(FOUND[number])
     assert number != 3 or "in the agents' target networks" in said
+    assert said.endswith("(--hint 1 says where to look.)\n")
+    first, second = (checked(fault["script"], path, "--hint", level)[1] for level in "12")
+    assert len(said) - 35 < len(first) < len(second) and second.startswith(first.rstrip())
     with pytest.raises(SystemExit, match="2"):  # it exists now
         plant_fault.main()
 
@@ -73,15 +78,46 @@ def test_what_differs_first_is_said(checked, tmp_path):
     code, said = checked("mappo", changed(path, "mappo", unclipped))
     assert code == 1 and "`loss/actor` is" in said
     code, said = checked("iql", changed(path, "iql", ("    optimiser.step()\n", "    optimiser.step()\n" * 2)))
-    assert code == 1 and "the weights are off by up to" in said and "the optimiser's step" in said
+    assert code == 1 and "the weights are off by up to" in said
     code, said = checked("iql", changed(path, "iql", ("* played.unsqueeze(-1)).sum()", ").mean()")))
     assert code == 1 and "`loss/value` is" in said
     code, said = checked("iql", changed(path, "iql", ("ended = terminated | truncated", "ended = terminated")))
     assert code == 1 and "stops: IndexError" in said
+    summed = "unsqueeze(-1)).squeeze(-1)  # [time, env, agent]", "unsqueeze(-1)).squeeze(-1).sum(-1)"
+    code, said = checked("vdn", changed(path, "iql", summed))
+    assert code == 1 and "two tensors do not fit, since one has 3 and the other 5 entries" in said
+    side_by_side = "critic_inputs = batch.observations", "critic_inputs = batch.observations.flatten(2).unsqueeze(2)"
+    code, said = checked("maa2c", changed(path, "ia2c", side_by_side))
+    assert code == 1 and "a network that was built for 6 inputs is given 21 (of 3 agents" in said
     code, said = checked("qmix", ROOT / "algos/vdn.py")
     assert code == 1 and "has no attribute 'Mixer'" in said
     code, said = checked("qmix", tmp_path / "nothing.py")
     assert code == 2 and said == f"check_exercise: {tmp_path / 'nothing.py'} is no Python file.\n"
+
+
+@pytest.mark.slow
+def test_the_whole_script_is_tried(checked, tmp_path):
+    """Updates that are right, with a critic that `train` builds for an agent's observation."""
+    state = "critic_inputs = batch.observations", "critic_inputs = batch.states.unsqueeze(2)"
+    path = changed(tmp_path / "mine.py", "ia2c", state)
+    code, said = checked("maa2c", path, "--hint", "2")
+    assert code == 1 and "a network that was built for 9 inputs is given 18" in said and "`train`" in said
+
+
+def test_estimates_by_hand(checked, tmp_path, monkeypatch):
+    monkeypatch.setattr(check_exercise, "wrong_in_training", lambda path: None)
+    text = (ROOT / "examples/mappo_yu.py").read_text(encoding="utf-8")
+    path = tmp_path / "mine.py"
+    for right, wrong, told in (
+        ("", "", "gae is right, and it trains"),
+        (".masked_fill(no_bootstrap.unsqueeze(-1), 0.0)", "", "gae: after a real end the advantages are [-0.1875,"),
+        ("errors[t] + gamma * lam *", "errors[t] + gamma *", "gae: after a time-out the advantages are [-2"),
+        ("    return advantages[:-1]\n", "    return advantages\n", "gae: its shape is [4, 2, 1]"),
+    ):
+        assert right == "" or text.count(right) == 1
+        path.write_text(text.replace(right, wrong) if right else text, encoding="utf-8")
+        code, said = checked("mappo_yu", path)
+        assert code == (0 if right == "" else 1) and told in said, said
 
 
 # --- the page ---
@@ -160,9 +196,8 @@ def test_a_diff_makes_another_algorithm(checked, tmp_path, number, original, alg
     assert code == 1 and (number != 1 or "`loss/value` is" in said)
     assert checked(algorithm, changed(path, original, *replacements)) == (
         0,
-        f"{path}: collect is right, and 5 updates in 4 cases are those of EPyMARL's {algorithm.upper()}.\n",
+        f"{path}: collect is right, 5 updates in 4 cases are those of EPyMARL's {algorithm.upper()}, and it trains.\n",
     )
-    run(["python", str(path), "--env", "lbf-5x5-2p-1f", "--total-timesteps", "900", "--run-dir", "x"], tmp_path)
 
 
 def test_the_baseline_changes_the_variance_alone():
@@ -191,6 +226,16 @@ def test_qmix_solves_the_two_step_game(tmp_path):
         folder = tmp_path / words[1].replace("/", "-")
         run([*words, "--run-dir", str(folder)], ROOT)
         assert pd.read_csv(folder / "evaluations.csv")["return_mean"].iloc[-1] == expected
+    shown = (ROOT / "docs/credit.md").read_text(encoding="utf-8")
+    for name in ("vdn", "qmix"):
+        printed = run(["python", "examples/two_step_values.py", name, str(tmp_path / f"algos-{name}.py")], ROOT)
+        first, *games = ([float(x) for x in re.findall(r"-?\d+\.\d+", line)] for line in printed.splitlines())
+        table = shown.partition(f"| game A, {name.upper()}")[2].partition("\n\n")[0]
+        rows = [[float(x) for x in re.findall(r"-?\d+\.\d+", line)] for line in table.splitlines()[2:]]
+        of_page = [[*rows[0][:2], *rows[1][:2]], [*rows[0][2:], *rows[1][2:]]]
+        np.testing.assert_allclose(games, of_page, atol=0.3)
+        row = re.search(rf"\| {name.upper()} \| ([\d.]+) \| ([\d.]+) \|", shown)
+        assert row and [first[0], first[3]] == pytest.approx([float(row[1]), float(row[2])], abs=0.3)
 
 
 def test_the_search_says_what_the_solution_says():
@@ -212,7 +257,7 @@ def test_the_failure_is_filmed(tmp_path):
 
 @pytest.mark.slow
 def test_mappo_as_yu_et_al_use_it_learns(tmp_path):
-    [compare, train] = commands(10)
+    [_, compare, train] = commands(10)
     assert compare[0] == "diff" and all((ROOT / path).exists() for path in compare[1:])
     run([*train, "--run-dir", str(tmp_path / "run")], ROOT)
     assert at_the_end(tmp_path / "run", "return") > 0.95

@@ -130,7 +130,7 @@ def check_program(path, words):
     for kind, names in named:
         for name in names.split():
             if kind == "algorithms":
-                assert name in (*NAMES, "all", "mine")
+                assert name in (*NAMES, "all", "mine", "mine2")
             elif name not in ("all", "matrix", "mpe", "smac", "lbf", "rware"):
                 envs.task(name)
     check_script("mappo", behind)

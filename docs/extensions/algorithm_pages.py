@@ -29,7 +29,10 @@ EXAMPLES = {
     "rware": "rware-tiny-4p",
 }
 SHARINGS = {"shared": "With parameter sharing", "independent": "Without parameter sharing"}
-SICK = "In the sick run"  # with these words begins what is said of it
+STEPS = "In eight lines"  # the section with the algorithm as pseudocode
+# Symbols of the formulas where a docstring names them in prose. A alone may be an article.
+SYMBOL = re.compile(r"(?<![\w'-])([rGHVQec]'?|A(?= the advantage)|t \+ n)(?![\w'-]|\.\w)")
+NO_PROSE = re.compile(r"(```.*?```|`[^`]*`|\$[^$]*\$|\]\([^)]*\))", re.DOTALL)
 RUNS = pd.read_csv(DATA / "runs.csv", keep_default_na=False)  # recorded ones
 
 
@@ -73,7 +76,9 @@ def page(name: str, text: str) -> str:
         raise ValueError(
             f"docs/algorithms/{name}.md remarks on {', '.join(wrong)}, which algos/{name}.py does not show"
         )
-    parts = [f"---\nhide-toc: true\n---\n\n# {remarks.title}", facts(known, remarks.facts), idea(known, remarks)]
+    parts = [f"# {remarks.title}", facts(known, remarks.facts), idea(known, remarks)]
+    if STEPS in remarks.sections:
+        parts += [f"## {STEPS}", remarks.sections[STEPS]]
     if remarks.sibling:
         parts += ["## Where it stands among its siblings", remarks.sections["What the diff teaches"]]
         parts.append(fence("script-diff", f"{remarks.sibling} {name}"))
@@ -90,10 +95,8 @@ def page(name: str, text: str) -> str:
     parts += ["## Hyperparameters", hyperparameters(known)]
     parts += ["## What to look at in TensorBoard"]
     if name in {*RUNS["algorithm"]}:
-        healthy, _, sick = remarks.sections["What to look at"].partition(SICK)
-        parts += [fence("recorded-run", f"{name} healthy"), healthy, fence("recorded-run", f"{name} sick"), SICK + sick]
-    else:
-        parts.append(remarks.sections["What to look at"])
+        parts.append(fence("recorded-runs", name))
+    parts.append(remarks.sections["What to look at"])
     parts += ["## Learning curves", CURVES]
     measured = results_data.seeds()
     for sharing, title in SHARINGS.items():
@@ -151,6 +154,8 @@ def idea(known: script.Script, remarks: Remarks) -> str:
         if plain_text.escape(plain) not in text:
             raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
         text = text.replace(plain_text.escape(plain), latex)
+    prose = NO_PROSE.split(text)  # every second part is code, a formula or an address
+    text = "".join(part if k % 2 else SYMBOL.sub(r"$\1$", part) for k, part in enumerate(prose))
     blocks = re.split(r"\n*```text\n(.*?)\n```\n*", text, flags=re.DOTALL)
     before, after = blocks[0], "\n\n".join(blocks[2::2])
     return "\n\n".join([before, ":::::{container} formulas", remarks.sections["Formulas"], ":::::", after])
@@ -263,27 +268,36 @@ def diff(old: script.Script, new: script.Script) -> str:
     return "\n".join(found)
 
 
-class RecordedRun(SphinxDirective):
-    """TensorBoard's curves of a run in docs/data. Arguments: the algorithm, and healthy or sick."""
+class RecordedRuns(SphinxDirective):
+    """TensorBoard's curves of both runs in docs/data, the healthy and the sick one. Argument: the algorithm."""
 
-    required_arguments = 2
+    required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        algorithm, health = self.arguments
-        title = f"A {health} run"
-        run = RUNS[(RUNS["algorithm"] == algorithm) & (RUNS["health"] == health)].iloc[0]
-        file = DATA / f"{algorithm}-{health}.csv"
-        for source in (DATA / "runs.csv", file):
-            self.env.note_dependency(str(source))
-        command = f"python algos/{algorithm}.py --env lbf-8x8-2p-2f {run['flags']}"
-        text = [nodes.strong("", f"{title}. "), nodes.Text(f"{run['ailment']} " if run["ailment"] else "")]
-        head = nodes.paragraph("", "", *text, nodes.literal("", command), classes=["run-title"])
+        [algorithm] = self.arguments
+        self.env.note_dependency(str(DATA / "runs.csv"))
+        heads: list[nodes.Node] = []
+        curves = {}
+        for health in charts.HEALTH:
+            run = RUNS[(RUNS["algorithm"] == algorithm) & (RUNS["health"] == health)].iloc[0]
+            file = DATA / f"{algorithm}-{health}.csv"
+            self.env.note_dependency(str(file))
+            table = pd.read_csv(file)
+            curves[health] = {tag: rows for tag, rows in table.groupby("tag", sort=False) if len(rows) > 1}
+            key = nodes.inline("", f"A {health} run. ", classes=["key", health])
+            command = nodes.literal("", f"python algos/{algorithm}.py --env lbf-8x8-2p-2f {run['flags']}")
+            ailment = nodes.Text(f"{run['ailment']} " if run["ailment"] else "")
+            heads.append(nodes.paragraph("", "", key, ailment, command, classes=["run-title"]))
         figures = [
-            charts.figure(charts.scalar(rows), f"<code>{tag}</code>", f"{tag} over timesteps, {title.lower()}")
-            for tag, rows in pd.read_csv(file).groupby("tag", sort=False)
-            if tag not in UNTOLD and len(rows) > 1
+            charts.figure(
+                charts.scalar({health: own[tag] for health, own in curves.items() if tag in own}),
+                f"<code>{tag}</code>",
+                f"{tag} over timesteps, of a healthy and a sick run",
+            )
+            for tag in curves["healthy"]
+            if tag not in UNTOLD
         ]
-        return [head, charts.grid(figures)]
+        return [*heads, charts.grid(figures)]
 
 
 UNTOLD = ("training/steps_per_second", "evaluation/return_std", "evaluation/episode_length")
@@ -339,6 +353,9 @@ def target(text: str, own: str | None) -> tuple[str, int]:
 
 def write_page(app: Sphinx, docname: str, source: list[str]) -> None:
     """Puts the whole page in the place of the remarks."""
+    if docname == "algorithms/index":  # a script beside the nine has its page behind theirs
+        others = [name for name in script.ALGORITHMS if name not in script.NINE]
+        source[0] = source[0].replace("\n*\n", "".join(f"\n{name}" for name in others) + "\n")
     folder, _, name = docname.partition("/")
     if folder == "algorithms" and name in script.ALGORITHMS:
         source[0] = page(name, source[0])
@@ -361,5 +378,5 @@ def setup(app: Sphinx) -> dict:
     app.add_role("line", Line())
     app.add_directive("data-flow", DataFlow)
     app.add_directive("script-diff", ScriptDiff)
-    app.add_directive("recorded-run", RecordedRun)
+    app.add_directive("recorded-runs", RecordedRuns)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Any, Literal
 
 import altair as alt
+import numpy as np
 import pandas as pd
 import results_data
 from docutils import nodes
@@ -133,15 +134,21 @@ def learning_curves(task: str, sharing: str, algorithms: Iterable[str], legend: 
     }
 
 
+HEALTH = {"healthy": "#0077bb", "sick": "#cc3311"}  # the colours of recorded runs; site.css has them, too
+FAR = 8  # so many times wider than the healthy run's range, an axis is logarithmic
+
+
 def scalar_chart() -> dict:
-    """One of TensorBoard's curves, still without data."""
+    """One of TensorBoard's curves of a healthy and a sick run, still without data."""
     chart = (
         alt.Chart(alt.NamedData(name="scalar"))
-        .mark_line(strokeWidth=1.6, color=results_data.colour("ippo"), point=POINTER)
+        .mark_line(strokeWidth=1.6, point=POINTER)
         .encode(
             x=steps_axis(),
+            color=alt.Color("r:N", legend=None, scale=alt.Scale(domain=[*HEALTH], range=[*HEALTH.values()])),
             y=alt.Y("v:Q", title=None, scale=alt.Scale(zero=False), axis=alt.Axis(tickCount=4, format=".3~g")),
             tooltip=[
+                alt.Tooltip("r:N", title="run"),
                 alt.Tooltip("t:Q", title="timesteps", format=","),
                 alt.Tooltip("v:Q", title="value", format=".4~g"),
             ],
@@ -150,9 +157,18 @@ def scalar_chart() -> dict:
     return specification(chart.properties(width="container", height=90))
 
 
-def scalar(table: pd.DataFrame) -> dict:
-    """One of TensorBoard's curves: columns timestep and value."""
-    return {"kind": "scalar", "t": table["timestep"].tolist(), "v": [rounded(value) for value in table["value"]]}
+def scalar(tables: dict[str, pd.DataFrame]) -> dict:
+    """One of TensorBoard's curves, by run: columns timestep and value. constant: of a symmetric logarithmic axis, where
+    one run's values would press the other's into a line."""
+    runs = {
+        health: {"t": table["timestep"].tolist(), "v": [rounded(value) for value in table["value"]]}
+        for health, table in tables.items()
+    }
+    healthy, every = tables["healthy"]["value"], pd.concat([table["value"] for table in tables.values()])
+    found = {"kind": "scalar", "runs": runs}
+    if np.ptp(every) > FAR * np.ptp(healthy) > 0:
+        found["constant"] = rounded(healthy.abs().median() / 10 or 1.0)
+    return found
 
 
 def kinds() -> dict[str, dict]:

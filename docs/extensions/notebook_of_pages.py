@@ -21,7 +21,7 @@ SECTIONS = [
     ("how-to/first-steps.md", "Train one"),
     ("how-to/first-steps.md", "The curve in Python"),
 ]
-BUDGET = "--total-timesteps 400000", "--total-timesteps 200000"  # on the page, and in the notebook, for its minute
+BUDGET = "--total-timesteps 400000", "--total-timesteps 200000 --eval-points 11"  # on the page; in the notebook
 HEAD = """\
 # First steps
 
@@ -42,6 +42,44 @@ elif not os.path.exists("algos"):
     !git clone {{REPOSITORY_URL}} marl-baselines
     %cd marl-baselines
     %pip install --quiet -e '.[benchmark]'"""
+# What a class does itself: texts and code in turn.
+CLASS = [
+    """\
+## Your turn
+
+**Predict.** In the climbing game two agents choose a row and a column of this table at the same time, and both earn the
+entry:
+
+| | 0 | 1 | 2 |
+|---|---|---|---|
+| **0** | 11 | -30 | 0 |
+| **1** | -30 | 7 | 0 |
+| **2** | 0 | 6 | 5 |
+
+Two agents that do not know each other's plans begin to try actions. At which entry will they end? Write your answer
+down before you run the next cell. An episode has 25 steps: divide the return by 25.""",
+    "!python algos/iql.py --env matrix-climbing --total-timesteps 20000 --eval-points 3 2>&1 | cat",
+    """\
+**Edit one line, and a second one like it.** In IQL the value of each agent is trained towards the reward of the team.
+In VDN the sum of the agents' values is. The next cell writes a copy of IQL with two more lines, which do nothing yet.
+Make each of them sum over the agents, which are the last axis, and keep this axis. The cell's last line holds your file
+against updates that were recorded with the paper's own code. If you are stuck, add `--hint 1` or `--hint 2` to it.""",
+    """\
+from pathlib import Path
+
+FIRST = "    values = values"  # [time, env, agent]
+SECOND = "        next_values = next_values"  # [time, env, agent]
+
+lines = Path("algos/iql.py").read_text(encoding="utf-8").splitlines()
+for above, line in ("    values = q_values", FIRST), ("        next_values = double_q_values", SECOND):
+    [place] = [i for i, text in enumerate(lines) if text.startswith(above)]
+    lines.insert(place + 1, line)
+Path("mine.py").write_text("\\n".join(lines) + "\\n", encoding="utf-8")
+!python examples/check_exercise.py vdn mine.py""",
+    """\
+**Explain.** Why does no agent need the others' values in play? The [exercises](exercises/index.md) go on from here, and
+[Credit](credit.md) shows what a sum of values cannot say.""",
+]
 FILM = 'from IPython.display import Image\n\nImage(filename="{run}/film.gif")'
 
 
@@ -65,7 +103,7 @@ def to_markdown(text: str, page: str, address: str) -> str:
 
 def commands(block: str) -> list[str]:
     """The code cells of a shell's command; of one that makes a film, also one that shows it."""
-    cells = [f"!{block.strip().replace(*BUDGET)}"]
+    cells = [f"!{block.strip().replace(*BUDGET)} 2>&1 | cat"]  # without the bar that shows how far it is
     if watched := re.search(r"--watch (\S+)", block):
         cells.append(FILM.format(run=watched[1]))
     return cells
@@ -94,6 +132,11 @@ def notebook(address: str) -> str:
         for text, language, block in zip(parts[::3], [*parts[1::3], ""], [*parts[2::3], ""]):
             cells += [nbformat.v4.new_markdown_cell(to_markdown(text, page, address))] if text.strip() else []
             cells += [nbformat.v4.new_code_cell(cell) for cell in code(language, block)] if language else []
+    for number, text in enumerate(CLASS):
+        if number % 2:
+            cells.append(nbformat.v4.new_code_cell(text))
+        else:
+            cells.append(nbformat.v4.new_markdown_cell(to_markdown(text, ".", address)))
     for number, cell in enumerate(cells):
         cell.id = f"cell-{number}"
     kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}

@@ -29,9 +29,9 @@ class Public(SphinxDirective):
         """Signature and docstring."""
         signature = str(inspect.signature(thing)) if inspect.isroutine(thing) else ""
         signature = re.sub(r"(: |-> )'([^']+)'", r"\1\2", signature)  # types without their quotes
-        head = nodes.literal("", f"{name}{signature}")
+        kind = "class" if inspect.isclass(thing) else "method" if "." in thing.__qualname__ else "function"
         text = plain_text.to_markdown(inspect.getdoc(thing) or "")
-        return [nodes.paragraph("", "", head, classes=["signature"]), *self.parse_text_to_nodes(text)]
+        return self.parse_text_to_nodes(f"::::::{{py:{kind}}} {name}{signature}\n:no-index:\n\n{text}\n::::::")
 
 
 def setup(app: Sphinx) -> dict:

@@ -2,7 +2,7 @@
 (() => {
   const folder = document.currentScript.src.replace(/charts\.js.*$/, "");
   // Colours that are too dark on a dark page, and those that stand for them there.
-  const onDark = { "#332288": "#9a8cf0", "#882255": "#e0659f", "#117733": "#45b36b", "#AA4499": "#d07fc4", "#999933": "#b8b850", "#666666": "#aaaaaa" };
+  const onDark = { "#332288": "#9a8cf0", "#882255": "#e0659f", "#117733": "#45b36b", "#AA4499": "#d07fc4", "#999933": "#b8b850", "#666666": "#aaaaaa", "#0077bb": "#4fb3ee", "#cc3311": "#ff8a75" };
 
   const isDark = () => {
     const theme = document.body.dataset.theme;
@@ -39,7 +39,9 @@
   const filled = (chart) => {
     const specification = structuredClone(window.chartKinds[chart.kind]);
     if (chart.kind === "scalar") {
-      return { ...specification, datasets: { scalar: chart.t.map((t, k) => ({ t, v: chart.v[k] })) } };
+      if (chart.constant) specification.encoding.y.scale = { type: "symlog", constant: chart.constant };
+      const points = Object.entries(chart.runs).flatMap(([r, { t, v }]) => t.map((step, k) => ({ r, t: step, v: v[k] })));
+      return { ...specification, datasets: { scalar: points } };
     }
     const [lowest, highest] = [chart.bounds[0] ?? -Infinity, chart.bounds[1] ?? Infinity];
     const band = (mean, half) => ({ l: Math.max(mean - half, lowest), h: Math.min(mean + half, highest) });
