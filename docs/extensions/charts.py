@@ -165,7 +165,7 @@ def scalar(tables: dict[str, pd.DataFrame]) -> dict:
         for health, table in tables.items()
     }
     healthy, every = tables["healthy"]["value"], pd.concat([table["value"] for table in tables.values()])
-    found = {"kind": "scalar", "runs": runs}
+    found: dict[str, Any] = {"kind": "scalar", "runs": runs}
     if np.ptp(every) > FAR * np.ptp(healthy) > 0:
         found["constant"] = rounded(healthy.abs().median() / 10 or 1.0)
     return found

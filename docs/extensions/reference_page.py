@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import re
+from typing import Any
 
 import plain_text
 from docutils import nodes
@@ -25,7 +26,7 @@ class Public(SphinxDirective):
             found += self.entry(f"{name}.{method}", getattr(thing, method))
         return found
 
-    def entry(self, name: str, thing: object) -> list[nodes.Node]:
+    def entry(self, name: str, thing: Any) -> list[nodes.Node]:
         """Signature and docstring."""
         signature = str(inspect.signature(thing)) if inspect.isroutine(thing) else ""
         signature = re.sub(r"(: |-> )'([^']+)'", r"\1\2", signature)  # types without their quotes

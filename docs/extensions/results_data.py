@@ -1,12 +1,14 @@
 """All that the site knows of results. This is the only module here that imports the programs of benchmark/."""
 
 import json
+import math
 import shlex
 from functools import lru_cache
 from pathlib import Path
 
 import pandas as pd
 
+import envs
 from benchmark import measures, store, tables
 from benchmark.plots import COLOURS
 from benchmark.report import Report
@@ -62,17 +64,9 @@ def curves() -> pd.DataFrame:
     return table.assign(interval=measures.interval(table["deviation"], table["seeds"])).reset_index()
 
 
-def bounds(task: str) -> tuple[float | None, float | None]:
+def bounds(task: str) -> tuple[float | None, ...]:
     """The lowest and the highest return that an episode can have; None where the game has no such bound."""
-    family, name = task.split("-", 1)
-    if family == "matrix":
-        lowest, highest = (-30, 11) if name == "climbing" else (-int(name.removeprefix("penalty-")), 10)
-        return 25 * lowest, 25 * highest
-    if task in ("mpe-spread", "mpe-speaker-listener"):
-        return None, 0
-    if task == "mpe-adversary":
-        return None, None
-    return 0, 1 if family == "lbf" else None
+    return tuple(value if math.isfinite(value) else None for value in envs.task(task).returns)
 
 
 def seeds() -> pd.Series:
