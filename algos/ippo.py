@@ -37,11 +37,14 @@ in Cooperative Tasks" (2021). docs/algorithms/ippo.md says where their code, EPy
     python algos/ippo.py --watch runs/lbf-15x15-3p-5f/ippo-shared/seed0
 """
 
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # where envs lies, if it is not installed
 from envs import VectorEnv, runs  # before PyTorch, which is faster on AMD processors then
 
 from copy import deepcopy
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np

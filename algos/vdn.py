@@ -30,11 +30,14 @@ steps at most (2,000 episodes in RWARE). How their code, EPyMARL, differs: docs/
     python algos/vdn.py --watch runs/lbf-8x8-2p-2f-c/vdn-shared/seed0
 """
 
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # where envs lies, if it is not installed
 from envs import VectorEnv, runs  # before PyTorch, which is faster on AMD processors then
 
 from copy import deepcopy
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np

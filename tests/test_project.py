@@ -2,6 +2,8 @@
 
 import ast
 import importlib
+import json
+import os
 import re
 import subprocess
 import sys
@@ -43,6 +45,17 @@ def test_without_the_packages_a_program_says_what_to_type(tmp_path):
         assert f"these packages are missing: {', '.join(needed.PACKAGES)}; python -m pip install -e" in done.stderr
     names = [package.partition(">=")[0] for package in PROJECT["dependencies"]]
     assert [{"PIL": "pillow"}.get(package, package) for package in needed.PACKAGES] == names
+
+
+@pytest.mark.slow
+def test_a_script_needs_no_installation(tmp_path):
+    """From any folder; with -S the packages are found, but not what an installation of this project has left."""
+    variables = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if "site-packages" in path)}
+    flags = "--env matrix-climbing --total-timesteps 250 --eval-points 1 --run-dir run".split()
+    command = [sys.executable, "-S", ROOT / "algos" / "mappo.py", *flags]
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["version"] == PROJECT["version"]
 
 
 def test_programs_that_tests_start_import_this_checkout(tmp_path):
