@@ -408,7 +408,7 @@ class Verdict:
     error: twice the standard error of the share. outcomes: by task, family or pair the share of the tables in which the
     expression holds there; None where it is not measured. rests_on: the cells that carry it, and what one seed more of
     each would cost; empty where all have five seeds. alone: the verdict without the games that stand in for the
-    paper's; empty where it looks at none.
+    paper's; empty where it looks at none. strict: the verdict if there were no ties.
     """
 
     verdict: str
@@ -419,6 +419,7 @@ class Verdict:
     figures: str = ""
     rests_on: str = ""
     alone: str = ""
+    strict: str = ""
 
     @property
     def shares(self) -> str:
@@ -559,9 +560,9 @@ with open(PAPER / "claims.csv", encoding="utf-8", newline="") as claims_file:
 
 
 # --- verdicts ---
-def judge(cells: pd.DataFrame, hours: Hours | None = None, ties: bool = True) -> list[Verdict]:
+def judge(cells: pd.DataFrame, hours: Hours | None = None) -> list[Verdict]:
     """The verdict on each of CLAIMS in these cells. hours: to say what one seed more would cost."""
-    view = replace(View.of(cells), ties=ties)
+    view = View.of(cells)
     few = {key for key, cell in view.cells.items() if cell.seeds < PAPER_SEEDS}
     tables = completed(view, View.of(paper_cells())) if few else view
     return [one_verdict(claim, view, tables, few, hours or {}) for claim in CLAIMS]
@@ -581,7 +582,10 @@ def one_verdict(claim: Claim, view: View, tables: View, few: set[Key], hours: Ho
     parts = [f"missing cells: {absent}"] if absent else []
     if deciding:
         parts.append(cells_text(view, shown(claim, view, deciding), hours))
-    return replace(found, figures=claim.text(view, tables, found.outcomes), rests_on="; ".join(parts), alone=alone)
+    some = any(tables.tie(key[2]) for key in cells)
+    strict = claim.judge(replace(tables, ties=False))[0].verdict if some else found.verdict
+    figures = claim.text(view, tables, found.outcomes)
+    return replace(found, figures=figures, rests_on="; ".join(parts), alone=alone, strict=strict)
 
 
 def shown(claim: Claim, view: View, cells: set[Key]) -> set[Key]:

@@ -358,14 +358,12 @@ class Report:
 
     def what_ties_change(self, verdicts: list[tuple[claims.Claim, claims.Verdict, claims.Verdict]]) -> str:
         """The verdicts that would be others if returns that lie within 0.1 % of the best were no ties."""
-        _, by_paper, by_ours = zip(*verdicts)
-        found = []
-        for whose, cells, judged in (("the paper's tables", self.paper, by_paper), ("our results", self.ours, by_ours)):
-            found += [
-                f'by {whose} "{claim.sentence}" would read "{without.verdict}" and not "{own.verdict}"'
-                for claim, own, without in zip(claims.CLAIMS, judged, claims.judge(cells, ties=False))
-                if without.verdict != own.verdict
-            ]
+        found = [
+            f'by {whose} "{claim.sentence}" would read "{verdict.strict}" and not "{verdict.verdict}"'
+            for claim, paper, ours in verdicts
+            for whose, verdict in (("the paper's tables", paper), ("our results", ours))
+            if verdict.strict != verdict.verdict
+        ]
         changed = "; ".join(found) or "no verdict would be another"
         return f"Returns that differ by 0.1 % of the most that a game can give, or less, are ties. Otherwise {changed}."
 

@@ -37,8 +37,8 @@ def claim(beginning):
     return found
 
 
-def verdict_on(beginning, cells, **of_view):
-    found, _ = claim(beginning).judge(dataclasses.replace(claims.View.of(cells), **of_view))
+def verdict_on(beginning, cells):
+    found, _ = claim(beginning).judge(claims.View.of(cells))
     return found.verdict
 
 
@@ -178,8 +178,10 @@ def test_ties_decide_one_of_the_papers_verdicts():
     """MADDPG has 249.98 on one Penalty game, 49.97 or 49.98 on others, and all others have 250 or 50."""
     paper = store.paper_cells()
     beginning = "MADDPG performs worse than all other algorithms"
-    assert verdict_on(beginning, paper) == claims.FAILS and verdict_on(beginning, paper, ties=False) == claims.HOLDS
-    assert verdict_on("IA2C is particularly effective", paper, ties=False) == claims.HOLDS
+    changed = [each for each in zip(claims.CLAIMS, claims.judge(paper)) if each[1].strict != each[1].verdict]
+    [(claimed, verdict)] = changed
+    assert claimed.sentence.startswith(beginning)
+    assert (verdict.verdict, verdict.strict) == (claims.FAILS, claims.HOLDS)
 
 
 def test_each_claim_names_tasks_and_what_is_needed():

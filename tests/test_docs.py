@@ -388,7 +388,8 @@ def shown_commands(site):
     """All commands of the site, by what the shell would read, with a page of each. Those of "The paper, run again" are
     run by tests/test_readme.py, which compares what they print."""
     found: dict[str, str] = {}
-    for file in sorted(set(site.glob("**/*.html")) - {site / "paper-run-again.html"}):
+    of_the_paper = {site / "paper-run-again.html", *site.glob("paper-run-again/*.html")}
+    for file in sorted(set(site.glob("**/*.html")) - of_the_paper):
         for line in Code(file.read_text(encoding="utf-8")).commands:
             if line and not NOT_A_COMMAND.search(line):
                 found.setdefault(line, file.relative_to(site).as_posix())

@@ -1,5 +1,6 @@
 """What the READMEs and the pages of docs/how-to show works as it stands there."""
 
+import importlib
 import itertools
 import json
 import os
@@ -13,6 +14,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from scripts import NAMES, ROOT, script
 
@@ -252,3 +254,23 @@ def test_the_paper_run_again():
     assert {Path(page).stem for page in pages} >= {"paper-run-again", "maddpg", "claims"}
     for page, (there, made) in pages.items():
         assert there.splitlines() == made.splitlines(), page
+
+
+def test_the_test_that_was_planned_waits_for_all_its_seeds(monkeypatch, capsys):
+    """Then it prints each seed's count and that of seeds 1 to 4, of seeds that are made up: the last is the lowest."""
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    tool = importlib.import_module("paper_run_again")
+    curve = pd.DataFrame({seed: [0.0, 100.0 - 60 * seed] for seed in range(5)})
+    monkeypatch.setattr(tool, "ours", lambda task, algorithm: curve.iloc[:, : 4 + (algorithm != "coma")])
+    tool.new_seeds()
+    waits, others = capsys.readouterr().out.splitlines()
+    assert waits.endswith("seeds 1 to 4 are there in 8 of 9 cells; the test waits for all") and "24 of 27" in others
+    monkeypatch.setattr(tool, "ours", lambda task, algorithm: curve)
+    tool.new_seeds()
+    lines = capsys.readouterr().out.splitlines()[:6]
+    assert [line.split(": ")[1].split(",")[0] for line in lines] == [
+        "9 of 9 above the paper's",  # averages of 50, 20, -10, ...
+        "9 of 9 above the paper's",
+        *4 * ["0 of 9 above the paper's"],
+    ]
+    assert "seeds 1 to 4 alone" in lines[-1] and lines[-1].endswith("p = 0.00")

@@ -500,9 +500,11 @@ def flight(directory: str = "") -> None:
     for seed, points in table(report().shown, "smaclite-2s_vs_1sc-sc2", "ippo").groupby("seed"):
         away = points[points["return_mean"] < 0.1]["timestep"] / 1e6
         when = f", the first at {away.min():.0f}, the last at {away.max():.0f} million steps" if len(away) else ""
+        won = 100 * points.set_index("point").loc[1, "battle_won"]
         print(
-            f"ippo, seed {seed}: return below 0.1 at {len(away)} of {len(points)} points{when}; "
-            f"average {points['return_mean'].mean():.2f}, of the last ten {points['return_mean'][-10:].mean():.2f}"
+            f"ippo, seed {seed}: {won:.0f} % of the battles won at 1 million steps; return below 0.1 at {len(away)} of "
+            f"{len(points)} points{when}; average {points['return_mean'].mean():.2f}, of the last ten "
+            f"{points['return_mean'][-10:].mean():.2f}"
         )
     for sharing, words in SHARING.items():
         (maximum, error), (average, its_error) = (
