@@ -423,8 +423,8 @@ are as the paper's it would reject, by simulation. An interval printed as 0.00 c
 of another of our algorithms on the same task would agree with the paper's; where it is high, the test sees little. In
 the matrix games the cells of IQL, VDN and QMIX have, by the same seeds of PyTorch, the very networks that the paper's
 runs began with, and often its values to the last digit: they are no independent replication. Left out are {left_out}
-cells in which nothing can differ: both intervals are printed as 0.00, or both values are the most that the game can
-return."""
+cells in which nothing can differ: our seeds do not vary, or both values are the most that the game can return, and the
+paper's interval is printed as 0.00."""
 
 
 MAXIMA_WORDS = """\

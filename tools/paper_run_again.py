@@ -273,7 +273,7 @@ def papers(task: str, algorithm: str, sharing: str = SHARED) -> str:
 
 
 def which_agree(counted: pd.DataFrame, task: str, algorithm: str, sharing: str) -> str:
-    """Whether average and maximum of a cell agree with the paper's; those that are not counted have no target."""
+    """Which of a cell's average and maximum agree with the paper's; no target, where neither is counted."""
     cells = counted[(counted["task"] == task) & (counted["algorithm"] == algorithm) & (counted["sharing"] == sharing)]
     agree = {*cells.loc[cells["agrees"], "metric"]}
     names = [name.split()[0] for metric, name in agreement.METRICS.items() if metric in agree]
