@@ -735,6 +735,7 @@ def watched(monkeypatch, capsys, name, *flags):
     return code, said.out.splitlines(), said.err
 
 
+@pytest.mark.slow
 def test_another_task_is_played_where_the_networks_fit(mappo_run, monkeypatch, capsys, tmp_path):
     """The film and the results are of the task of the command line."""
     copy, played, make = copy_of(mappo_run[1], tmp_path / "run"), [], runs.make_for
@@ -769,6 +770,7 @@ def test_flags_of_a_training_are_refused_with_watch(mappo_run, monkeypatch, caps
     assert code == 2 and said == f"mappo: --watch plays what was trained; {name} is for a training.\n"
 
 
+@pytest.mark.slow
 def test_watching_greedily(mappo_run, monkeypatch, capsys, tmp_path):
     copy, greedy = copy_of(mappo_run[1], tmp_path / "run"), []
     film = envs.film

@@ -290,6 +290,7 @@ class TestPlan:
         assert said in capsys.readouterr().err
         assert not Path("runs").exists()
 
+    @pytest.mark.slow
     def test_the_scripts_take_the_plan(self, monkeypatch):
         """The real scripts, every one on a task of every family, with the whole of the paper's grid."""
         monkeypatch.setattr(plan, "ALGOS", ROOT / "algos")

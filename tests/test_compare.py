@@ -119,6 +119,7 @@ def in_one_sentence(monkeypatch, capsys, *words):
     return capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_wrong_input_ends_in_one_sentence(monkeypatch, capsys, tmp_path):
     output = ["--output", str(tmp_path / "out")]
     said = in_one_sentence(monkeypatch, capsys, "mine", "mappo", *output)

@@ -502,6 +502,7 @@ def test_a_game_that_seeds_what_all_share(toys_here: None, what: str, when: str)
         assert torch.equal(torch.get_rng_state(), before[2])
 
 
+@pytest.mark.slow
 def test_hints(toys_here: None) -> None:
     """What makes learning hard and breaks no rule."""
 

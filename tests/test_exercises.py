@@ -200,6 +200,7 @@ def test_a_diff_makes_another_algorithm(checked, tmp_path, number, original, alg
     )
 
 
+@pytest.mark.slow
 def test_the_baseline_changes_the_variance_alone():
     [program] = blocks(4, "python")
     said = run(["python", "-c", program], ROOT)
@@ -208,6 +209,7 @@ def test_the_baseline_changes_the_variance_alone():
     assert f"falls from {before} to {after}." in " ".join(task(4).split())
 
 
+@pytest.mark.slow
 def test_what_grows_with_the_number_of_agents():
     [program] = blocks(5, "python")
     found = re.findall(
@@ -238,6 +240,7 @@ def test_qmix_solves_the_two_step_game(tmp_path):
         assert row and [first[0], first[3]] == pytest.approx([float(row[1]), float(row[2])], abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_search_says_what_the_solution_says():
     [words] = commands(7)
     rows = [line.split(" | ") for line in run(words, ROOT).splitlines() if "IA2C" in line]
@@ -248,6 +251,7 @@ def test_the_search_says_what_the_solution_says():
     assert smallest == averages[4:6] + averages[10:] and max(smallest) < min(averages[:4] + averages[6:10])
 
 
+@pytest.mark.slow
 def test_the_failure_is_filmed(tmp_path):
     [[*words, team]] = commands(8)
     shutil.copytree(ROOT / team, tmp_path / "team")
