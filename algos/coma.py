@@ -48,9 +48,7 @@ from torch import Tensor, nn
 
 # Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "on_policy_timesteps"  # this field of a Task, see envs/tasks.py
-PAPER_FLAGS = (
-    "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
-)
+TUNED = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
 PAPER = {
     # family, sharing           dim  rate    rewards core   entropy target  n_step
     ("matrix", "shared"):      (64,  0.0005, True,   "fc",  0.01,   "soft", 5),
@@ -92,7 +90,7 @@ class Args(runs.Flags):
 
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The flags for a task. Those without a value in Args get PAPER's and the task's."""
-    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
+    return runs.filled(Args, env, parameter_sharing, PAPER, TUNED, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -328,9 +326,7 @@ def update(
     last_actions = sample_actions(logits[-1:].detach(), batch.action_masks[-1:], rng)
     actions = torch.cat([batch.actions, last_actions])  # [time + 1, env, agent]
     critic_inputs = counterfactual_inputs(batch.states, actions, logits.shape[-1])
-    rewards = batch.rewards
-    if args.reward_standardisation:
-        rewards = standardised(rewards, played)
+    rewards = standardised(batch.rewards, played) if args.reward_standardisation else batch.rewards
     with torch.no_grad():
         target_q_values = target_critic(critic_inputs)[0]  # [time + 1, env, agent, action]
         target_values = target_q_values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)

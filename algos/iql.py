@@ -43,7 +43,7 @@ from torch import Tensor, nn
 
 # Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "off_policy_timesteps"  # this field of a Task, see envs/tasks.py
-PAPER_FLAGS = (
+TUNED = (
     "hidden_dim learning_rate reward_standardisation network "
     "target_update eval_epsilon epsilon_anneal"
 )
@@ -92,7 +92,7 @@ class Args(runs.Flags):
 
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The flags for a task. Those without a value in Args get PAPER's and the task's."""
-    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
+    return runs.filled(Args, env, parameter_sharing, PAPER, TUNED, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -316,9 +316,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> d
     """Learns from a batch in update number n_updates, from 1 on. Returns figures for the log."""
     played = batch.played
     agents, target_agents = parts["agents"], parts["target_agents"]
-    rewards = batch.rewards
-    if args.reward_standardisation:
-        rewards = standardised(rewards, played)
+    rewards = standardised(batch.rewards, played) if args.reward_standardisation else batch.rewards
     q_values = agents(batch.observations)[0]  # [time + 1, env, agent, action]
     values = q_values[:-1].gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1)  # [time, env, agent]
     with torch.no_grad():

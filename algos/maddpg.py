@@ -48,9 +48,7 @@ from torch import Tensor, nn
 
 # Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "off_policy_timesteps"  # this field of a Task, see envs/tasks.py
-PAPER_FLAGS = (
-    "hidden_dim learning_rate reward_standardisation network target_update actor_regularisation"
-)
+TUNED = "hidden_dim learning_rate reward_standardisation network target_update actor_regularisation"
 PAPER = {
     # family, sharing           dim  rate    rewards core   target  regularisation
     ("matrix", "shared"):      (128, 0.0003, True,   "fc",  "hard", 0.001),
@@ -93,7 +91,7 @@ class Args(runs.Flags):
 
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The flags for a task. Those without a value in Args get PAPER's and the task's."""
-    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
+    return runs.filled(Args, env, parameter_sharing, PAPER, TUNED, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -337,9 +335,7 @@ def update(
     agents, target_agents = parts["agents"], parts["target_agents"]
     critic, target_critic = parts["critic"], parts["target_critic"]
     n_agents, n_actions = batch.action_masks.shape[2:]
-    rewards = batch.rewards
-    if args.reward_standardisation:
-        rewards = standardised(rewards, played)
+    rewards = standardised(batch.rewards, played) if args.reward_standardisation else batch.rewards
     with torch.no_grad():
         target_logits = target_agents(batch.observations)[0]  # [time + 1, env, agent, action]
         likeliest = torch.where(batch.action_masks, target_logits, -torch.inf).argmax(-1)

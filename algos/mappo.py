@@ -51,9 +51,7 @@ from torch import Tensor, nn
 
 # Hyperparameters by family and sharing, as the paper's search chose them; "other" is our choice.
 PAPER_BUDGET = "on_policy_timesteps"  # this field of a Task, see envs/tasks.py
-PAPER_FLAGS = (
-    "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
-)
+TUNED = "hidden_dim learning_rate reward_standardisation network entropy_coef target_update n_step"
 PAPER = {
     # family, sharing           dim  rate    rewards core   entropy target  n_step
     ("matrix", "shared"):      (64,  0.0005, True,   "fc",  0.001,  "soft", 5),
@@ -98,7 +96,7 @@ class Args(runs.Flags):
 
 def paper_defaults(env: str = Args.env, parameter_sharing: bool = Args.parameter_sharing) -> Args:
     """The flags for a task. Those without a value in Args get PAPER's and the task's."""
-    return runs.filled(Args, env, parameter_sharing, PAPER, PAPER_FLAGS, PAPER_BUDGET)
+    return runs.filled(Args, env, parameter_sharing, PAPER, TUNED, PAPER_BUDGET)
 
 
 # --- networks ---
@@ -315,9 +313,7 @@ def update(args: Args, parts: dict[str, Any], batch: Batch, n_updates: int) -> d
     agents, critic, target_critic = parts["agents"], parts["critic"], parts["target_critic"]
     # All agents see the same state; a shared critic adds their ids and so has a value for each.
     critic_inputs = batch.states.unsqueeze(2)  # [time + 1, env, 1, state]
-    rewards = batch.rewards
-    if args.reward_standardisation:
-        rewards = standardised(rewards, played)
+    rewards = standardised(batch.rewards, played) if args.reward_standardisation else batch.rewards
     with torch.no_grad():
         target_values = target_critic(critic_inputs)[0].squeeze(-1)  # [time + 1, env, agent]
     returns = n_step_returns(

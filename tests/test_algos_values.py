@@ -76,7 +76,7 @@ def test_every_column_of_the_paper_s_table(name, task, family, monkeypatch, tmp_
     module = script(name)
     row = module.PAPER[family, "shared"]
     hints = typing.get_type_hints(module.Args)
-    columns = module.PAPER_FLAGS.split()
+    columns = module.TUNED.split()
     values = tuple(another(flag, value, hints[flag]) for flag, value in zip(columns, row, strict=True))
     text, found = re.subn(
         rf'^    \("{family}", "shared"\): .*$', f'    ("{family}", "shared"): {values!r},', source, flags=re.M
@@ -91,7 +91,7 @@ def test_values_of_the_task(task):
     """A task of a known family takes its row; any other one that of "other"."""
     args, module = script("mappo").paper_defaults(task), script("mappo")
     family = "lbf" if task.startswith("lbf") else "other"
-    assert tuple(getattr(args, flag) for flag in module.PAPER_FLAGS.split()) == module.PAPER[family, "shared"]
+    assert tuple(getattr(args, flag) for flag in module.TUNED.split()) == module.PAPER[family, "shared"]
 
 
 def test_a_field_without_a_value_anywhere(tmp_path):

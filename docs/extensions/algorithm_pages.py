@@ -203,7 +203,7 @@ def first_page(known: script.Script, part: script.Part) -> str | None:
 
 def hyperparameters(known: script.Script) -> str:
     """The paper's hyperparameters as tables in Markdown, a row for each flag."""
-    paper, names = known.literal("PAPER"), known.literal("PAPER_FLAGS").split()
+    paper, names = known.literal("PAPER"), known.literal("TUNED").split()
     families = [family for family in FAMILY_TITLES if (family, "shared") in paper]
     chosen = "They are what the search of [the benchmark paper](https://arxiv.org/abs/2006.07869) chose. "
     parts = [
