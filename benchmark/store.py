@@ -165,11 +165,16 @@ def parse_text(content: bytes) -> pd.DataFrame:
     return pd.read_csv(io.BytesIO(content), dtype=str, keep_default_na=False)
 
 
-def hash_of_rows(content: bytes, seed: str) -> str:
-    """Names what a table has of a seed: its lines and the names of its columns."""
+def hash_rows(content: bytes) -> dict[str, str]:
+    """Names what a table has of each seed: its lines and the names of its columns."""
     names, *lines = content.splitlines() or [b""]
-    rows = (line for line in lines if line.startswith(f"{seed},".encode()))
-    return hashlib.sha256(b"\n".join([names, *rows])).hexdigest()[:16]
+    rows: dict[bytes, list[bytes]] = {}
+    for line in lines:
+        rows.setdefault(line.partition(b",")[0], [names]).append(line)
+    return {
+        seed.decode(errors="replace"): hashlib.sha256(b"\n".join(of_seed)).hexdigest()[:16]
+        for seed, of_seed in rows.items()
+    }
 
 
 def read_files(path: Path) -> tuple[dict[str, Any], Path, bytes]:
@@ -187,7 +192,7 @@ def read_files(path: Path) -> tuple[dict[str, Any], Path, bytes]:
                 content = file.read_bytes()
             except FileNotFoundError:
                 content = b""
-            if all(hash_of_rows(content, seed) == rows for seed, rows in named.items()):
+            if named.items() <= hash_rows(content).items():
                 return settings, file, content
     raise InputError(f"{path}.csv is damaged: it does not hold the evaluations that {path.name}.json names")
 
@@ -401,8 +406,9 @@ def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> 
                 raise InputError(f"{table_file} has a seed {seed} with other returns, made with commit {origin}")
         settings, table = merge(path, settings, table, config, rows)
         content = table.to_csv(index=False, lineterminator="\n").encode()
+        hashes = hash_rows(content)
         for number, origin in settings["seeds"].items():
-            origin["rows"] = hash_of_rows(content, number)
+            origin["rows"] = hashes[number]
         table_file.parent.mkdir(exist_ok=True)
         new = Path(f"{path}.csv.new")
         runs.write_new(new, content)

@@ -121,7 +121,7 @@ def test_seeds_come_together_and_stay(run, tmp_path):
     assert settings["flags"] == {"env": "matrix-climbing", "total_timesteps": 2_500_000, "parameter_sharing": True}
     assert list(settings["seeds"]) == ["0", "1", "10"]
     assert settings["seeds"]["1"] == {
-        "rows": store.hash_of_rows(path.read_bytes(), "1"),
+        "rows": store.hash_rows(path.read_bytes())["1"],
         **{"commit": "abc", "version": "0.1.0", "script": "123", "python": "3.11.7", "versions": {"torch": "2.13.0"}},
         **{"machine": {"cores": 2}, "fast_mkl": False, "wall_seconds": 1.2, "cpu_seconds": 0.5},
     }
