@@ -31,7 +31,9 @@ EXAMPLES = {
 SHARINGS = {"shared": "With parameter sharing", "independent": "Without parameter sharing"}
 STEPS = "In eight lines"  # the section with the algorithm as pseudocode
 # Symbols of the formulas where a docstring names them in prose. A alone may be an article.
-SYMBOL = re.compile(r"(?<![\w'-])([rGHVQec]'?|A(?= the advantage)|t \+ n)(?![\w'-]|\.\w)")
+SYMBOL = re.compile(
+    r"(?<![\w'-])([rGHVQec]'?|A(?= the\s+advantage)|gamma\^k|[nkt](?=,|\s+(?:steps|rewards|\\<=)))(?![\w'-]|\.\w)"
+)
 NO_PROSE = re.compile(r"(```.*?```|`[^`]*`|\$[^$]*\$|\]\([^)]*\))", re.DOTALL)
 RUNS = pd.read_csv(DATA / "runs.csv", keep_default_na=False)  # recorded ones
 
@@ -155,7 +157,8 @@ def idea(known: script.Script, remarks: Remarks) -> str:
             raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
         text = text.replace(plain_text.escape(plain), latex)
     prose = NO_PROSE.split(text)  # every second part is code, a formula or an address
-    text = "".join(part if k % 2 else SYMBOL.sub(r"$\1$", part) for k, part in enumerate(prose))
+    prose[::2] = [SYMBOL.sub(r"$\1$", part).replace("$gamma", r"$\gamma") for part in prose[::2]]
+    text = "".join(prose)
     blocks = re.split(r"\n*```text\n(.*?)\n```\n*", text, flags=re.DOTALL)
     before, after = blocks[0], "\n\n".join(blocks[2::2])
     return "\n\n".join([before, ":::::{container} formulas", remarks.sections["Formulas"], ":::::", after])
