@@ -395,11 +395,9 @@ NOT_A_COMMAND = re.compile(r"\.\.\.|<|^#|^[A-Za-z_]+=|^srun")
 
 
 def shown_commands(site):
-    """All commands of the site, by what the shell would read, with a page of each. Those of "The paper, run again" are
-    run by tests/test_readme.py, which compares what they print."""
+    """All commands of the site, by what the shell would read, with a page of each."""
     found: dict[str, str] = {}
-    of_the_paper = {site / "paper-run-again.html", *site.glob("paper-run-again/*.html")}
-    for file in sorted(set(site.glob("**/*.html")) - of_the_paper):
+    for file in sorted(site.glob("**/*.html")):
         for line in Code(file.read_text(encoding="utf-8")).commands:
             if line and not NOT_A_COMMAND.search(line):
                 found.setdefault(line, file.relative_to(site).as_posix())
@@ -426,18 +424,23 @@ def test_every_command_that_a_page_shows_can_be_run(site, tmp_path, monkeypatch)
     assert len(shown) > 300 and wrong == [], "\n".join(wrong)
 
 
+OWN_NAMES = {"mine": "mappo", "mine2": "mappo", "maddpg_ends": "maddpg", "maddpg_epymarl": "maddpg"}  # of copies
+
+
 def try_command(line, folder, monkeypatch):
     """Raises what speaks against a command."""
     words = shlex.split(line, comments=True)
     own_copies = {"fault1.py": "iql", "fault2.py": "maa2c", "mine.py": "iql", "mappo.py": "mappo"}
     if words[:2] == ["python", "benchmark/run.py"]:
-        monkeypatch.setattr(sys, "argv", ["mappo" if word in ("mine", "mine2") else word for word in words[1:]])
+        monkeypatch.setattr(sys, "argv", [OWN_NAMES.get(word, word) for word in words[1:]])
         args = run.parse()
         args.plan = args.plan and ROOT / args.plan
         grid = plan.read_grid(ROOT / args.grid) if args.grid else None
         plan.make_plan(plan.chosen_scripts(args.algorithms), run.seeds_of_rows(args), tuple(args.flags), grid, folder)
     elif words[0] == "python" and words[1] in own_copies:
         test_readme.check_script(own_copies[words[1]], words[2:])
+    elif words[:2] == ["python", "tools/paper_run_again.py"]:
+        assert words[2] in (ROOT / words[1]).read_text(encoding="utf-8")  # what it prints is compared elsewhere
     elif words[0] == "python" and words[1].startswith("examples/"):
         known = test_readme.help_of(words[1])
         assert all(word.partition("=")[0] in known for word in words[2:] if word.startswith("--"))
@@ -679,14 +682,14 @@ def test_the_explorers_address_is_its_state(site, browser):
     ticked = "return [...document.querySelectorAll('#explorer input:checked')].map((x) => x.value)"
     assert until(lambda: "Nothing to show" in note.text) and not drawing.is_displayed()
     assert browser.execute_script(ticked) == ["independent", "steps"]
-    browser.find_element("css selector", "#explorer input[value=vdn]").click()
+    browser.find_element("css selector", "#explorer input[value=maa2c]").click()
     browser.find_element("css selector", "#explorer input[value=ia2c]").click()
-    assert browser.current_url.endswith("&algorithms=vdn,ia2c")
+    assert browser.current_url.endswith("&algorithms=maa2c,ia2c")
     address = browser.current_url.partition("#")[2]
     visit(browser, site / "explorer.html", f"#{address}")
-    assert browser.execute_script(ticked) == ["independent", "steps", "ia2c", "vdn"]
+    assert browser.execute_script(ticked) == ["independent", "steps", "ia2c", "maa2c"]
     note = browser.find_element("css selector", "#explorer .note")
-    assert until(lambda: "3M steps: IA2C †; 2M steps: VDN. †: another budget" in note.text), note.text
+    assert until(lambda: "3M steps: IA2C †, MAA2C †. †: another budget" in note.text), note.text
     browser.execute_script("location.hash = '#task=rware-tiny-4p&sharing=independent'")
     shown = "return document.getElementById('explorer').dataset.shown"
     assert until(lambda: len(browser.execute_script(shown).split()) == 9)
@@ -724,8 +727,11 @@ def test_each_number_has_an_address(site, browser):
     assert len(names) == len(set(names)) > 500
     visit(browser, site / "tables.html", "#mpe-tag-qmix-shared-average")
     cell = browser.find_element("css selector", "td:target")
-    place = browser.execute_script("return arguments[0].getBoundingClientRect().toJSON()", cell)
-    assert 0 < place["top"] < 1000 and 0 < place["left"] < 1400
+    seen = (
+        "const {top, left} = arguments[0].getBoundingClientRect(); "
+        "return 0 < top && top < innerHeight && 0 < left && left < innerWidth"
+    )
+    assert until(lambda: browser.execute_script(seen, cell))
     assert "mpe-tag, the paper's prey" in cell.find_element("xpath", "..").text
     browser.execute_script("arguments[0].click()", cell.find_element("css selector", "button"))
     behind = cell.find_element("css selector", "[popover]")

@@ -10,7 +10,7 @@
     state.task = said.task in families ? said.task : "lbf-8x8-2p-2f-c"; // the first on which all nine were run
     state.sharing = ["shared", "independent"].includes(said.sharing) ? said.sharing : "shared";
     state.axis = ["steps", "share"].includes(said.axis) ? said.axis : "share";
-    state.ticked = new Set(said.algorithms === undefined ? algorithms : said.algorithms.split(","));
+    state.ticked = new Set(said.algorithms === undefined ? algorithms : said.algorithms.split(",").filter(Boolean));
   };
 
   const element = (tag, attributes = {}, ...children) => {

@@ -28,3 +28,8 @@ const sizes = new ResizeObserver((entries) => {
   for (const { target } of entries) target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1);
 });
 document.querySelectorAll(".wide, .table-wrapper, .formula").forEach((element) => sizes.observe(element));
+
+// Shows the cell that the address names, also where its table is wider than the window.
+const showTarget = () => document.querySelector("td:target")?.scrollIntoView({ block: "center", inline: "center" });
+window.addEventListener("load", showTarget);
+window.addEventListener("hashchange", showTarget);
