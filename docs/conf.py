@@ -36,7 +36,6 @@ exclude_patterns = ["data", "films", "extensions"]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 myst_html_meta = {"description": "Nine cooperative multi-agent RL algorithms, one readable file each, explained"}
-suppress_warnings = ["toc.empty_glob"]  # algorithms/index.md takes further scripts, of which there may be none
 smartquotes = False
 copybutton_exclude = ".linenos, .gp"
 
