@@ -52,7 +52,7 @@ def test_a_script_needs_no_installation(tmp_path):
     """From any folder; with -S the packages are found, but not what an installation of this project has left."""
     variables = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if "site-packages" in path)}
     flags = "--env matrix-climbing --total-timesteps 250 --eval-points 1 --run-dir run".split()
-    command = [sys.executable, "-S", ROOT / "algos" / "mappo.py", *flags]
+    command = [sys.executable, "-S", str(ROOT / "algos" / "mappo.py"), *flags]
     done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "run" / "config.json").read_text())["version"] == PROJECT["version"]
