@@ -616,8 +616,8 @@ class TestWrongInput:
 
     def test_a_loss_that_is_no_number_stops_the_run(self, monkeypatch, capsys, tmp_path):
         flags = [*short("mappo"), "--learning-rate", "1e18", "--run-dir", tmp_path / "run"]
-        code, _ = main(monkeypatch, capsys, "mappo", *flags)
-        assert "loss/" in code and "at step" in code
+        code, said = main(monkeypatch, capsys, "mappo", *flags)
+        assert code == 1 and said.splitlines()[-1].startswith("mappo: loss/") and "at step" in said.splitlines()[-1]
 
 
 # --- using what was trained ---

@@ -6,7 +6,6 @@ import contextlib
 import json
 import math
 import secrets
-import sys
 import threading
 import time
 from collections import deque
@@ -19,7 +18,7 @@ from tqdm import tqdm
 
 from envs import optional
 from envs.runs.directory import write_whole
-from envs.runs.process import say
+from envs.runs.process import Diverged, say
 from envs.vector import InputError
 
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json
@@ -81,13 +80,13 @@ class Log:
         """Shows a batch of training episodes that ends at this timestep.
 
         returns, lengths: of its episodes.
-        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. A loss that is not
-        finite ends the process.
+        metrics: tensors of one number, by group and name. TensorBoard gets a thousand points a run. Raises Diverged for
+        a loss that is not finite.
         """
         figures = {name: value.item() for name, value in metrics.items()}
         for name, value in figures.items():
             if name.startswith("loss/") and not math.isfinite(value):
-                sys.exit(f"{name} is {value} at step {timestep:,}; the last checkpoint is kept.")
+                raise Diverged(f"{name} is {value} at step {timestep:,}; the last checkpoint is kept.")
         self.returns.extend(returns)
         self.lengths.extend(lengths)
         now = time.monotonic()

@@ -128,6 +128,10 @@ def ends_with_parent() -> Callable[[], Any] | None:
     return functools.partial(ctypes.CDLL(None).prctl, pr_set_pdeathsig, signal.SIGKILL)
 
 
+class Diverged(Exception):
+    """A training has come to a loss that is no finite number; the message is one sentence."""
+
+
 def with_flags(sentence: str) -> str:
     """A sentence of `envs` for the command line: `env_kwargs` becomes --env-kwargs."""
     return re.sub("`([a-z]+_[a-z_]+)`", lambda option: "--" + option[1].replace("_", "-"), sentence)
@@ -137,8 +141,8 @@ def with_flags(sentence: str) -> str:
 def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
 
-    Such reasons are wrong input, a full disk or a lack of memory. Ctrl-C before a run can save anything ends with exit
-    code 130.
+    Such reasons are wrong input, a full disk or a lack of memory. Where a training diverges the code is 1, and after
+    Ctrl-C before a run can save anything 130.
     """
     open_streams()
     try:
@@ -149,6 +153,9 @@ def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
         if isinstance(error, BrokenPipeError):
             flush_stdout()
         sys.exit(2)
+    except Diverged as error:
+        say(f"{Path(script).stem}: {error}")
+        sys.exit(1)
     except RuntimeError as error:
         if not re.search("allocate memory|out of memory", str(error)):  # PyTorch's words, of a CPU or a GPU
             raise
