@@ -51,6 +51,7 @@ from benchmark.store import (
     PAPER_SETTING,
     RESULTS,
     algorithm_order,
+    has_older_rules,
     load,
     paper_cells,
     paper_task,
@@ -375,12 +376,15 @@ class Report:
         parts += [f"{seeds} run{'s' * (seeds != 1)} on {tasks} task{'s' * (tasks != 1)}. {self.agreement()}"]
         if len(self.compared):
             parts += [self.agreement_table(), "## What was run", self.coverage(), self.coverage_table()]
-        parts += ["## Tables", tables.LEGEND, *titled_tables(self.both)]
+        older = self.both["task"].map(has_older_rules).astype(bool)
+        parts += ["## Tables", tables.LEGEND, *titled_tables(self.both[~older])]
         if len(self.compared):
             parts += ["### Where we do not agree with the paper", self.differences()]
         if len(self.against_own):
             own = tables.compare(our_cells(self.evaluations, own_opponent=True), self.paper)
             parts += ["## Against our own opponents", OWN_OPPONENTS, *titled_tables(own, " against our own opponents")]
+        if older.any():
+            parts += ["## By older rules", OLDER_RULES, *titled_tables(self.both[older], " by older rules")]
         if table := tables.variants(self.evaluations, pd.concat([self.shown, self.against_own])):
             parts += ["### Other flags and budgets", table]
         if figures := self.figures():
@@ -436,6 +440,12 @@ OWN_OPPONENTS = """\
 In Adversary and Tag the paper's teams played against trained networks of its own. The tables above are of runs against
 those, and these of runs against the networks of this repository: another game, which nothing of the paper compares
 with. They are in no count."""
+
+
+OLDER_RULES = """\
+These tasks stood in for SMAC's until their rules were found to be too far from the game's. The newer rules have names
+of their own (`-sc2-v2`), so that no table has results of both, and nothing of the paper is compared with the older
+ones."""
 
 
 OVER_ALL = """\

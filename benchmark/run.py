@@ -97,7 +97,7 @@ def parse() -> argparse.Namespace:
         "--tasks",
         nargs="+",
         metavar="name",
-        help=f"tasks, families ({', '.join(store.PAPER_FAMILIES)}; smac: the five smaclite-...-sc2) or all; "
+        help=f"tasks, families ({', '.join(store.PAPER_FAMILIES)}; smac: its five stand-ins) or all; "
         "default with --plan: its tasks",
     )
     parser.add_argument(

@@ -37,6 +37,7 @@ import envs
 from benchmark import hyperparameters
 from envs import InputError, runs
 from envs.runs.flags import NOT_IN_DIRECTORY
+from envs.tasks import stand_in
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
@@ -92,8 +93,14 @@ def algorithm_order(algorithms: Iterable[str]) -> list[str]:
 
 def paper_task(task: str) -> str:
     """The task of the paper's tables that this one is compared with: itself, or the one that it stands in for."""
-    stand_in = re.fullmatch("smaclite-(.*)-sc2", task)  # StarCraft's clock and data without StarCraft
-    return f"smac-{stand_in[1]}" if stand_in else task
+    battle = re.fullmatch("smaclite-(.*)-sc2(?:-v2)?", task)  # StarCraft's clock and data without StarCraft
+    return f"smac-{battle[1]}" if battle and stand_in(battle[1]) == task else task
+
+
+def has_older_rules(task: str) -> bool:
+    """Whether a task stood in for one of the paper's until newer rules, with a name of their own, took its place."""
+    battle = re.fullmatch("smaclite-(.*)-sc2", task)
+    return battle is not None and stand_in(battle[1]) != task
 
 
 def setting_name(changed: dict[str, Any]) -> str:

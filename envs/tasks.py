@@ -4,7 +4,7 @@
     lbf-<rows>x<columns>-<n>p-<f>f[-2s][-c][-v3]
     rware-<tiny|small|medium|large>-<n>p[-<r>s][-easy|-hard]
     mpe-speaker-listener  mpe-spread  mpe-adversary[-selfplay]  mpe-tag[-selfplay]      and the same with mpe2-
-    smaclite-<map>[-sc2]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
+    smaclite-<map>[-sc2[-v2]]  smac-<map>                   <map>: 2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z, ...
     pettingzoo:<module>  gymnasium:<id>                environments that are not ours; see `envs.adapters.foreign`
     own:<module>                                       a class `Env` of your own, by the contract in `envs.vector`
 
@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from envs.families import OPPONENTS, PLACES_TRIED
-from envs.families.smaclite.maps import LITE_MAPS
+from envs.families.smaclite.maps import RULE_SETS
 from envs.vector import InputError
 
 UNBOUNDED = (-math.inf, math.inf)
@@ -75,10 +75,10 @@ PAPER_TASKS = (
     "mpe-adversary",
     "mpe-tag",
     "smaclite-2s_vs_1sc-sc2",  # these five stand for SMAC's, which need StarCraft II
-    "smaclite-3s5z-sc2",
+    "smaclite-3s5z-sc2-v2",
     "smaclite-MMM2-sc2",
-    "smaclite-corridor-sc2",
-    "smaclite-3s_vs_5z-sc2",
+    "smaclite-corridor-sc2-v2",
+    "smaclite-3s_vs_5z-sc2-v2",
 )
 
 
@@ -91,6 +91,14 @@ def lacks_opponent(name: str) -> bool:
     """Whether a task of MPE has a built-in opponent that has not been trained yet."""
     match = re.fullmatch("mpe2?-(adversary|tag)", name)
     return match is not None and not (OPPONENTS / f"mpe-{match[1]}.npz").exists()
+
+
+def stand_in(battle: str) -> str:
+    """The task that stands for `smac-<battle>` where there is no StarCraft II.
+
+    It has the newest rules; on a map on which nobody fights at close quarters these have no name of their own.
+    """
+    return f"smaclite-{battle}-sc2-v2" if battle in RULE_SETS["sc2-v2"].maps else f"smaclite-{battle}-sc2"
 
 
 def task(name: str) -> Task:
@@ -175,7 +183,7 @@ def names_here(name: str) -> list[str]:
     if smac:
         package, battle = smac.groups()
         lite = [f"smaclite-{battle}"]
-        return lite if package == "smaclite/" else [f"smac-{battle}", f"smaclite-{battle}-sc2"]
+        return lite if package == "smaclite/" else [f"smac-{battle}", stand_in(battle)]
     return []
 
 
@@ -315,16 +323,17 @@ def parse_mpe(name: str) -> Task | None:
 
 def parse_smac(name: str) -> Task | None:
     """Battles on the maps that our own simulator knows, and, with StarCraft II, on those of SMAC."""
-    match = re.fullmatch("(smaclite|smac)-([0-9A-Za-z_]+)(-sc2)?", name)
+    match = re.fullmatch("(smaclite|smac)-([0-9A-Za-z_]+)(?:-(sc2(?:-v2)?))?", name)
     if match is None or (match[1] == "smac" and match[3]):
         return None
     returns = (0.0, math.inf)
     if match[1] == "smac":
         settings = {"map_name": match[2]}
         return Task(name, "smac", 40_000_000, 4_000_000, 41, "envs.families.starcraft", settings, returns=returns)
-    if match[2] not in LITE_MAPS:
+    rule_set = match[3] or "lite"
+    if match[2] not in RULE_SETS[rule_set].maps:
         return None
-    settings = {"map_name": match[2], "rule_set": "sc2" if match[3] else "lite"}
+    settings = {"map_name": match[2], "rule_set": rule_set}
     module = "envs.families.smaclite.environment"
     return Task(name, "smac", 40_000_000, 4_000_000, 41, module, settings, returns=returns)
 
@@ -335,7 +344,7 @@ KNOWN_PACKAGES = {
     "lbforaging": "lbf-8x8-2p-2f-c",
     "rware": "rware-tiny-2p",
     "mpe2?": "mpe-spread",
-    "smac": "smaclite-3s5z-sc2",
+    "smac": "smaclite-3s5z-sc2-v2",
 }
 STEPS = (20_000_000, 2_000_000, 41)  # budgets on and off policy, and evaluations, where the paper says nothing
 

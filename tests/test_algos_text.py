@@ -21,7 +21,7 @@ SECTIONS = ["networks", "maths", "experience", "update", "train", "load"]
 TASK_OF_FAMILY = {
     "matrix": "matrix-climbing",
     "mpe": "mpe-spread",
-    "smac": "smaclite-3s5z-sc2",
+    "smac": "smaclite-3s5z-sc2-v2",
     "lbf": "lbf-15x15-3p-5f",
     "rware": "rware-tiny-4p",
 }

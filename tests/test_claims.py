@@ -193,18 +193,18 @@ def test_each_claim_names_tasks_and_what_is_needed():
 
 
 def test_the_papers_own_task_goes_before_the_one_that_stands_in_for_it():
-    own, stand_in = ("smac-3s5z", "smac-3s5z", "mappo", 1.0, 5), ("smaclite-3s5z-sc2", "smac-3s5z", "mappo", 2.0, 5)
+    own, stand_in = ("smac-3s5z", "smac-3s5z", "mappo", 1.0, 5), ("smaclite-3s5z-sc2-v2", "smac-3s5z", "mappo", 2.0, 5)
     key = "max_return", "shared", "smac-3s5z", "mappo"
     for runs in ([own, stand_in], [stand_in, own]):
         assert value(claims.View.of(named_cells(runs)), *key) == 1
     alone = claims.View.of(named_cells([stand_in]))
-    assert value(alone, *key) == 2 and alone.games == {"smac-3s5z": "smaclite-3s5z-sc2"}
+    assert value(alone, *key) == 2 and alone.games == {"smac-3s5z": "smaclite-3s5z-sc2-v2"}
     assert not alone.without_stand_ins().cells and claims.View.of(named_cells([own])).without_stand_ins().cells
 
 
 def test_the_claims_do_not_compare_two_games():
     """Where nearly all was run on the stand-in, one algorithm's result of the paper's own task is left aside."""
-    runs = [("smaclite-3s5z-sc2", "smac-3s5z", name, 1.0, 5) for name in store.ALGORITHMS]
+    runs = [("smaclite-3s5z-sc2-v2", "smac-3s5z", name, 1.0, 5) for name in store.ALGORITHMS]
     view = claims.View.of(named_cells([*runs, ("smac-3s5z", "smac-3s5z", "mappo", 9.0, 5)]))
     assert (claims.Scope(view, "smac-3s5z", "max_return").values() == 1).all()
 
@@ -363,7 +363,7 @@ def test_a_narrow_difference_of_single_seeds_is_too_close_to_call():
 def test_a_verdict_on_stand_ins_says_so():
     """Three of five tasks are needed: with three of the paper's it holds without the stand-in, with two it does not."""
     claimed = claim("VDN and QMIX perform similarly in most")
-    stand_in = [("smaclite-3s5z-sc2", "smac-3s5z", name, 1.0, 5) for name in store.ALGORITHMS]
+    stand_in = [("smaclite-3s5z-sc2-v2", "smac-3s5z", name, 1.0, 5) for name in store.ALGORITHMS]
     others = [task for task in claims.SETS["smac"] if task != "smac-3s5z"]
     for number, alone in ((3, claims.HOLDS), (2, claims.UNKNOWN)):
         runs = [(task, task, name, 1.0, 5) for task in others[:number] for name in store.ALGORITHMS]
@@ -373,10 +373,10 @@ def test_a_verdict_on_stand_ins_says_so():
 
 def test_stand_ins_have_their_own_name():
     task = "smac-3s_vs_5z"
-    runs = [("smaclite-3s_vs_5z-sc2", task, name, 2.0 + (name == "iql"), 5) for name in store.ALGORITHMS]
+    runs = [("smaclite-3s_vs_5z-sc2-v2", task, name, 2.0 + (name == "iql"), 5) for name in store.ALGORITHMS]
     found = dict(zip(claims.CLAIMS, claims.judge(named_cells(runs))))
     best = found[claim("IQL achieves the best performance")]
-    assert best.figures == "1 of 1 tasks; yes: smaclite-3s_vs_5z-sc2 (IQL 3.00, best 3.00)"
+    assert best.figures == "1 of 1 tasks; yes: smaclite-3s_vs_5z-sc2-v2 (IQL 3.00, best 3.00)"
     assert best.alone == "not measured, 0.0 ± 0.0 %; open in 100.0 %"
     texts = [text for each in found.values() for text in (each.figures, each.rests_on)]
     assert not any("smac-" in text for text in texts)

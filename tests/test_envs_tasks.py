@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import envs
 from envs import tasks
-from envs.tasks import lacks_opponent, names_here, room_for_foods
+from envs.tasks import lacks_opponent, names_here, room_for_foods, stand_in
 
 PAPER = {
     "matrix": ("matrix", 2_500_000, 250_000, 101),
@@ -41,7 +41,7 @@ def test_names_of_the_papers_table_of_results() -> None:
     with table.open() as lines:
         printed = {line["task"] for line in csv.DictReader(lines)}
     # Our own simulator stands for StarCraft II.
-    expected = {f"smaclite-{name[5:]}-sc2" if name.startswith("smac-") else name for name in printed}
+    expected = {stand_in(name[5:]) if name.startswith("smac-") else name for name in printed}
     assert {name for name in expected if not lacks_opponent(name)} == set(envs.task_names())
     assert {envs.task(name).family for name in printed if name.startswith("smac-")} == {"smac"}
 
@@ -174,8 +174,9 @@ def test_room_for_foods(rows: int, columns: int, room: int) -> None:
         ("rware-huge-4p", "rware-tiny-4p"),
         ("mpe-speaker_listener", "mpe-speaker-listener"),
         ("", "-"),
-        ("smaclite-4s5z", "smaclite-3s5z-sc2"),
-        ("smac-3s5z-sc2", "smaclite-3s5z-sc2"),
+        ("smaclite-4s5z-sc2", "smaclite-3s5z-sc2-v2"),
+        ("smac-3s5z-sc2", "smaclite-3s5z-sc2-v2"),
+        ("smaclite-MMM2-sc2-v2", "smaclite-MMM2-sc2"),
         ("lbf-15x15-3p-5f\n", "lbf-15x15-3p-5f"),
     ],
 )
@@ -236,7 +237,7 @@ def test_names_of_the_reference_are_translated(name: str, ours: str) -> None:
         ("mpe2.simple_tag_v3", ["mpe2-tag", "mpe-tag"]),
         ("pz-mpe-simple-adversary-v3", ["mpe2-adversary", "mpe-adversary"]),
         ("simple_crypto", []),
-        ("3s5z", ["smac-3s5z", "smaclite-3s5z-sc2"]),
+        ("3s5z", ["smac-3s5z", "smaclite-3s5z-sc2-v2"]),
         ("MMM2", ["smac-MMM2", "smaclite-MMM2-sc2"]),
         ("smaclite/corridor-v0", ["smaclite-corridor"]),
         ("Foraging-3s-8x8-2p-2f-v3", ["lbf-8x8-2p-2f-3s-v3", "lbf-8x8-2p-2f-3s"]),

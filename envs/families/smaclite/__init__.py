@@ -1,11 +1,12 @@
 """Battles of small groups, in the manner of SMAC, the StarCraft multi-agent challenge (Samvelyan et al., 2019).
 
-    smaclite-<map>[-sc2]        2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z (the paper's), 3m, 8m, 2s3z
+    smaclite-<map>[-sc2[-v2]]   2s_vs_1sc, 3s5z, MMM2, corridor, 3s_vs_5z (the paper's), 3m, 8m, 2s3z
 
 This is our own simulator, written from a description of the rules, and needs no StarCraft. Without -sc2 it has the
 rules of SMAClite (Michalski, Christianos and Albrecht, 2023), against whose battles it is checked. With -sc2 the same
-engine is as near to StarCraft II as it can be: `maps` has units, maps and all differences as tables. `rules` and
-`walking` are what is played, `environment` has the class.
+engine has StarCraft's clock and data: `maps` has units, maps and all differences as tables. With -sc2-v2, on the four
+maps with units that fight at close quarters (zealots and zerglings), these also surround; what is said of -sc2 holds
+for both. `rules` and `walking` are what is played, `environment` has the class.
 
 Each agent commands one unit; the enemies follow rules. Units are stalkers (s), zealots (z), a spine crawler (sc),
 zerglings, and the marines, marauders and medivac of MMM2. Coordinates lie in 0 .. 32, x to the east, y to the north. A
@@ -44,7 +45,11 @@ A tick has three phases:
     that is hurt or busy. An enemy without a target walks straight to the map's point of attack, a healer no faster
     than those around it. Agents' units do what they are told and nothing else.
     Then, ways: a unit that has its target within reach stands, and shoots if its weapon has cooled down; the others
-    walk. Units and walls are avoided as in ORCA, but a unit that stands does not give way.
+    walk. With -sc2-v2 a unit of close quarters chooses, when it gets a target and at the start of each step, the
+    nearest of 16 places around it at which it would touch nobody who stands; an enemy chooses among those around all
+    whom it sees, and takes that one as its target. It walks straight there, but past whoever stands close in its way:
+    along them, with the smallest turn that leads nearer to nobody, 120 degrees at most, and on the same side until its
+    way is free. Units and walls are avoided as in ORCA, but a unit that stands does not give way.
     Last, in an order drawn anew for each tick, units move, regenerate and shoot.
 
 A hit takes the damage (more on armoured units) from the shield, the rest, less the armour, from the hp. Shields regain

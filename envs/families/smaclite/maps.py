@@ -1,9 +1,10 @@
 """The units, maps and rule sets of the battles, as tables: a new map is a new entry of `LITE_MAPS`.
 
-Two rule sets. LITE is what SMAClite (Michalski, Christianos and Albrecht, 2023) computes. SC2 is as near to StarCraft
-II, and to the SMAC benchmark (Samvelyan et al., 2019) on top of it, as this engine goes. Lengths are in cells, times in
-seconds of the rules, of which a step lasts half of one; x points east, y north. Angles do not matter: units turn at
-once.
+Three rule sets. LITE is what SMAClite (Michalski, Christianos and Albrecht, 2023) computes. SC2 is as near to StarCraft
+II, and to the SMAC benchmark (Samvelyan et al., 2019) on top of it, as this engine first came. SC2_V2 comes nearer
+where somebody fights at close quarters; on other maps nothing is new, and there is no second name. Lengths are in
+cells, times in seconds of the rules, of which a step lasts half of one; x points east, y north. Angles do not matter:
+units turn at once.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 SIZE = 32  # of every map, in both directions
 GAP = 0.05  # between units at the start
+MELEE = 1.0  # reach below which a unit fights at close quarters
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -38,7 +40,7 @@ class Unit(NamedTuple):
     damage: float = 0  # of one hit
     bonus: float = 0  # more damage to armoured targets
     hits: int = 1  # in one attack
-    reach: float = 0.1  # of attacks and of healing
+    reach: float = 0.1  # of attacks and of healing; below `MELEE` it is one of melee
     body: float = 0  # radius in collisions; 0: as `radius`
     sight: float = 5  # enemies that have no target look for one so far away
     regeneration: float = 0  # hp per second
@@ -92,7 +94,7 @@ SC2_UNITS = {
 
 
 class Rules(NamedTuple):
-    """In what, besides units and maps, the two rule sets differ."""
+    """In what, besides units and maps, the rule sets differ."""
 
     healers_first: bool  # enemies prefer healers, and look for a better target while one lives
     weapon_jitter: bool  # a cooldown lasts a random -1 to 2 ticks longer
@@ -102,6 +104,7 @@ class Rules(NamedTuple):
     healers_count: bool  # a side of which only healers are left has not lost
     inside: bool  # nobody leaves the map
     revives: bool  # a healer's turn in the tick in which its patient dies saves it
+    surrounds: bool  # melee units go to where there is room around those they attack
 
 
 LITE_RULES = Rules(
@@ -113,6 +116,7 @@ LITE_RULES = Rules(
     healers_count=True,
     inside=False,
     revives=True,
+    surrounds=False,
 )
 SC2_RULES = Rules(
     healers_first=False,
@@ -123,7 +127,9 @@ SC2_RULES = Rules(
     healers_count=False,
     inside=True,
     revives=False,
+    surrounds=False,
 )
+SC2_V2_RULES = SC2_RULES._replace(surrounds=True)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -233,10 +239,15 @@ SC2_MAPS = LITE_MAPS | {
     "3s_vs_5z": replace(LITE_MAPS["3s_vs_5z"], walkable=OPEN),
     "2s3z": replace(LITE_MAPS["2s3z"], enemy_types=PROTOSS[::-1]),
 }
+SC2_V2_MAPS = {
+    name: field
+    for name, field in SC2_MAPS.items()
+    if any(SC2_UNITS[unit].reach < MELEE for group in (*field.allies, field.enemies) for unit in group.units)
+}
 
 
 class RuleSet(NamedTuple):
-    """Everything that `smaclite-<map>`, or with its suffix `smaclite-<map>-sc2`, is played with."""
+    """Everything that `smaclite-<map>`, or with a suffix `smaclite-<map>-<rule set>`, is played with."""
 
     rules: Rules
     units: Mapping[str, Unit]
@@ -246,6 +257,7 @@ class RuleSet(NamedTuple):
 RULE_SETS = {
     "lite": RuleSet(LITE_RULES, LITE_UNITS, LITE_MAPS),
     "sc2": RuleSet(SC2_RULES, SC2_UNITS, SC2_MAPS),
+    "sc2-v2": RuleSet(SC2_V2_RULES, SC2_UNITS, SC2_V2_MAPS),
 }
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.families.kernels import compiled, episode_state, forbidden_action, random_below
-from envs.families.smaclite.maps import SIZE
-from envs.families.smaclite.walking import TICK, avoid_collisions, squared_distance
+from envs.families.smaclite.maps import MELEE, SIZE
+from envs.families.smaclite.walking import TICK, avoid_collisions, det, squared_distance
 
 NO_OP, STOP, NORTH, SOUTH, EAST, WEST, ATTACK = 0, 1, 2, 3, 4, 5, 6  # ATTACK + k: unit k
 TICKS = 8  # of a step
@@ -26,6 +26,10 @@ KILL, WIN, PERFECT = 10.0, 200.0, 20.0  # bonuses of the reward, and what a perf
 
 WALK, HOLD = -1, -2  # orders other than a unit to attack or to heal
 NOBODY = -1
+PLACES = 16  # around a unit, for melee units that attack it
+CIRCLE = np.array([(math.cos(k * math.tau / PLACES), math.sin(k * math.tau / PLACES)) for k in range(PLACES)])
+NOWHERE, UNKNOWN = -1, -1  # no place; places that nobody has looked at yet
+LARGEST_TURN = -0.5  # cosine of the angle by which a unit leaves its way at most, 120 degrees; else it waits
 FAR = 1e6  # more than any squared distance
 SECOND_CHOICE = 1e7  # more than FAR
 
@@ -76,6 +80,9 @@ UNIT = np.dtype(
         ("order", int),  # the unit to attack or heal, WALK or HOLD; enemies always have WALK
         ("target", int),  # the unit that it attacks or heals or is on its way to, or NOBODY
         ("last_target", int),  # its target one tick ago
+        ("place", int),  # around its target, to which a melee unit walks, or NOWHERE
+        ("room", int),  # bit k: the place k around it is free for melee units of the other side; or UNKNOWN
+        ("side", int),  # on which it passes who stands in its way: 1 left, -1 right, 0 nobody does
         ("fires", bool),  # its target is within its reach
         ("shot", int),  # whom it hit or healed last in this step, or NOBODY
     ],
@@ -126,6 +133,7 @@ class Config(NamedTuple):
     healers_count: bool
     inside: bool
     revives: bool
+    surrounds: bool
 
     n_allies: int
     episode_limit: int
@@ -160,6 +168,7 @@ def reset_env(state, config, e):
         me.cooldown, me.quiet = 0.0, 0.0
         me.order = HOLD if i < config.n_allies else WALK
         me.target, me.shot = NOBODY, NOBODY
+        me.place, me.side = NOWHERE, 0
     state.battle_won[e] = 0
     state.dead_allies[e] = 0
     state.dead_enemies[e] = 0
@@ -175,7 +184,7 @@ def step_env(state, config, e, actions):
         state.last_action[e, i] = actions[e, i]
         give_order(unit[i], actions[e, i], n_allies)
     for i in range(n_units):
-        unit[i].shot = NOBODY
+        unit[i].shot, unit[i].place = NOBODY, NOWHERE
 
     health_before, standing_before = health_of_enemies(unit, n_allies)
     state.gain[e] = 0
@@ -251,9 +260,9 @@ def tick(state, config, e):
             me.target = max(me.order, NOBODY)
             healer_lives |= me.heals and me.hp > 0
         if me.target != NOBODY:
-            keep = unit[me.target].target == i or within_reach(me, unit[me.target])
+            keep = me.place != NOWHERE or unit[me.target].target == i or within_reach(me, unit[me.target])
             if unit[me.target].hp == 0 or (i >= n_allies and (me.looks_around or not keep)):
-                me.target = NOBODY
+                me.target, me.place = NOBODY, NOWHERE
     for i in range(n_units):
         me = unit[i]
         if me.hp == 0:
@@ -266,6 +275,8 @@ def tick(state, config, e):
                 speed = speed_of_company(unit, i, config)
                 find_patient(unit, i, config)
         decide(unit, i, speed, n_allies)
+    if config.surrounds:
+        surround(unit, n_allies, state.near, state.line)
     edge, near_edges = state.edge, state.near_edges
     near, distance, line, projected = state.near, state.distance, state.line, state.projected
     for i in range(n_units):
@@ -392,6 +403,146 @@ def decide(unit, i, speed, n_allies):
     if distance > 0:
         me.wanted_x = speed * across / distance
         me.wanted_y = speed * up / distance
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Surrounding
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def surround(unit, n_allies, standing, close):
+    """Melee units whose target is out of reach walk to a free place around it, and on their way around who stands.
+
+    standing, close: room for the numbers of the units that stand, and for the directions of some of them.
+    """
+    n_standing = 0
+    for i in range(len(unit)):
+        me = unit[i]
+        me.room = UNKNOWN
+        if me.hp > 0 and not me.flies and me.wanted_x == 0 and me.wanted_y == 0:
+            standing[n_standing] = i
+            n_standing += 1
+    for i in range(len(unit)):
+        me = unit[i]
+        if me.hp == 0 or me.reach >= MELEE:
+            continue
+        if me.target == NOBODY or me.fires:
+            me.place, me.side = NOWHERE, 0
+            continue
+        if me.place == NOWHERE:
+            choose_place(unit, i, n_allies, standing, n_standing)
+        if me.place != NOWHERE:
+            walk_to_place(unit, me, standing, n_standing, close)
+
+
+@compiled
+def distance_of_places(me, other):
+    """Of the places around another unit, from its centre: where this unit has it well within its reach."""
+    return me.radius + other.radius + me.reach / 2
+
+
+@compiled
+def choose_place(unit, i, n_allies, standing, n_standing):
+    """The nearest free place: for an enemy around anybody in its sight, whom it then attacks, else around its target.
+
+    Without any, the unit keeps its target and walks straight to it.
+    """
+    me = unit[i]
+    target = me.target
+    least = FAR
+    for n in range(n_allies if i >= n_allies else 1):
+        j = target if n == 0 else n - 1 if n <= target else n  # the target first, since it is near
+        other = unit[j]
+        to_x, to_y = other.x - me.x, other.y - me.y
+        squared = to_x * to_x + to_y * to_y
+        sight = me.sight + other.radius
+        if other.hp == 0 or other.flies or (j != target and squared >= sight * sight):
+            continue
+        distance = distance_of_places(me, other)
+        nearest = math.sqrt(least) + distance
+        if squared >= nearest * nearest:
+            continue
+        if other.room == UNKNOWN:
+            look_for_room(unit, j, me.body, distance, standing, n_standing)
+        for place in range(PLACES):
+            if other.room >> place & 1:
+                x, y = to_x + distance * CIRCLE[place, 0], to_y + distance * CIRCLE[place, 1]
+                if x * x + y * y < least:
+                    least = x * x + y * y
+                    me.target, me.place = j, place
+
+
+@compiled
+def look_for_room(unit, j, body, distance, standing, n_standing):
+    """Note which places around unit j are free: there a melee unit touches nobody who stands.
+
+    All melee units of the other side are alike: such a body, and so far from the centre.
+    """
+    me = unit[j]
+    me.room = (1 << PLACES) - 1
+    for n in range(n_standing):
+        other = unit[standing[n]]
+        touch = body + other.body
+        x, y = other.x - me.x, other.y - me.y
+        squared = x * x + y * y
+        if standing[n] == j or squared > (distance + touch) * (distance + touch):
+            continue
+        ahead = (squared + distance * distance - touch * touch) / 2  # by the law of cosines
+        for place in range(PLACES):
+            if distance * (x * CIRCLE[place, 0] + y * CIRCLE[place, 1]) > ahead:
+                me.room &= ~(1 << place)
+
+
+@compiled
+def walk_to_place(unit, me, standing, n_standing, close):
+    """Straight or, where somebody close stands in the way, past those who do, with the smallest turn.
+
+    A unit stays on its side until its way is free.
+    """
+    other = unit[me.target]
+    distance = distance_of_places(me, other)
+    ahead_x = other.x - me.x + distance * CIRCLE[me.place, 0]
+    ahead_y = other.y - me.y + distance * CIRCLE[me.place, 1]
+    length = max(math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y), 1e-9)
+    ahead_x, ahead_y = ahead_x / length, ahead_y / length
+    n_close = 0
+    for n in range(n_standing):
+        other = unit[standing[n]]
+        to_x, to_y = other.x - me.x, other.y - me.y
+        squared = to_x * to_x + to_y * to_y
+        touch = me.body + other.body + me.reach
+        if squared < touch * touch:
+            length = max(math.sqrt(squared), 1e-9)
+            close[n_close, 0], close[n_close, 1] = to_x / length, to_y / length
+            n_close += 1
+
+    x, y = ahead_x, ahead_y
+    side = 0
+    if comes_nearer(close, n_close, ahead_x, ahead_y):
+        most = LARGEST_TURN
+        for n in range(n_close):
+            for left in (1, -1):
+                try_x, try_y = -left * close[n, 1], left * close[n, 0]
+                along = try_x * ahead_x + try_y * ahead_y
+                turns_left = det(ahead_x, ahead_y, try_x, try_y) >= 0
+                if along <= most or turns_left != (left == 1) or me.side == -left:
+                    continue
+                if not comes_nearer(close, n_close, try_x, try_y):
+                    most = along
+                    x, y = try_x, try_y
+                    side = left
+    me.side = side
+    me.wanted_x, me.wanted_y = me.speed * x, me.speed * y
+
+
+@compiled
+def comes_nearer(close, n_close, x, y):
+    """Whether a step in the direction (x, y) leads nearer to any of those in these directions."""
+    nearer = False
+    for n in range(n_close):
+        nearer |= x * close[n, 0] + y * close[n, 1] > 1e-9
+    return nearer
 
 
 # ---------------------------------------------------------------------------------------------------------------------
