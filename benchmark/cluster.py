@@ -94,10 +94,15 @@ def make_folder() -> tuple[Path, filelock.FileLock]:
     """A new folder for a run, and the lock that holds it while its trainer lives; folders that nobody holds any more,
     since their trainers were killed, are removed."""
     there = Path(tempfile.gettempdir())
-    with filelock.FileLock(there / f"{RUN_FOLDERS}{os.getuid()}.lock"):
-        for old in there.glob(f"{RUN_FOLDERS}{os.getuid()}-*"):
-            with contextlib.suppress(filelock.Timeout), filelock.FileLock(old / "trainer", timeout=0):
-                shutil.rmtree(old, ignore_errors=True)
+    with contextlib.ExitStack() as held:
+        # On a shared node somebody else may have taken any of these names: then old folders stay.
+        with contextlib.suppress(OSError, filelock.Timeout):
+            held.enter_context(filelock.FileLock(there / f"{RUN_FOLDERS}{os.getuid()}.lock", timeout=ANSWER_SECONDS))
+            for old in there.glob(f"{RUN_FOLDERS}{os.getuid()}-*"):
+                if old.is_symlink() or old.stat().st_uid != os.getuid():
+                    continue
+                with contextlib.suppress(filelock.Timeout), filelock.FileLock(old / "trainer", timeout=0):
+                    shutil.rmtree(old, ignore_errors=True)
         folder = Path(tempfile.mkdtemp(prefix=f"{RUN_FOLDERS}{os.getuid()}-"))
         lock = filelock.FileLock(folder / "trainer")
         lock.acquire()

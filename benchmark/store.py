@@ -36,6 +36,7 @@ import pandas as pd
 import envs
 from benchmark import hyperparameters
 from envs import InputError, runs
+from envs.runs import valid
 from envs.runs.flags import NOT_IN_DIRECTORY
 from envs.tasks import stand_in
 
@@ -121,8 +122,8 @@ def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
     more: further parts and their types.
     """
     try:
-        said = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
+        said = valid.read_json(file)
+    except valid.Invalid as error:
         raise InputError(f"{file} is damaged: {error}") from error
     if not isinstance(said, dict) or not isinstance(said.get("flags"), dict):
         raise InputError(f"{file} is damaged: it has no flags")
@@ -144,6 +145,15 @@ def read_settings(path: Path) -> dict[str, Any]:
     if not all(seed.isdecimal() and isinstance(origin, dict) for seed, origin in settings["seeds"].items()):
         raise InputError(f"{file} is damaged: what it says of its seeds is not valid")
     return settings
+
+
+def content_of(file: Path) -> bytes:
+    """What a CSV holds. InputError for a pipe, for example, which may never end, and for one that is too large."""
+    try:
+        valid.file_size(file, valid.LARGEST_TABLE)
+    except valid.Invalid as error:
+        raise InputError(f"{file} is damaged: {error}") from error
+    return file.read_bytes()
 
 
 def parse_evaluations(content: bytes, file: Path, columns: list[str]) -> pd.DataFrame:
@@ -196,7 +206,7 @@ def read_files(path: Path) -> tuple[dict[str, Any], Path, bytes]:
         named = {seed: origin["rows"] for seed, origin in settings["seeds"].items() if "rows" in origin}
         for file in (Path(f"{path}.csv"), Path(f"{path}.csv.new")):
             try:
-                content = file.read_bytes()
+                content = content_of(file)
             except FileNotFoundError:
                 content = b""
             if named.items() <= hash_rows(content).items():
@@ -304,7 +314,7 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     path = directory / "evaluations.csv"
     if not path.exists() or not path.stat().st_size:
         raise NotComplete("it is not complete")
-    content = path.read_bytes()
+    content = content_of(path)
     numbers = parse_evaluations(content, path, COLUMNS)
     if list(numbers["point"]) != list(range(len(numbers))):
         raise InputError(f"{path} is damaged: evaluations are missing, there twice, or in another order")

@@ -5,10 +5,12 @@ This module imports Pillow, so it is imported only where something is drawn.
 
 from __future__ import annotations
 
+import io
 import os
 from collections import Counter
 from collections.abc import Iterable
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -120,7 +122,8 @@ def save_film(
 ) -> None:
     """Write frames, uint8 [height, width, 3] and all of one size, as a GIF that repeats for ever.
 
-    The last frame stays for a second, so that the end is seen before the film starts again.
+    The last frame stays for a second, so that the end is seen before the film starts again. Where the path is that of a
+    link, the film takes the link's place, and what it leads to stays as it is.
     Raises InputError if there is no frame or if the sizes differ.
     """
     images = [Image.fromarray(frame) for frame in frames]
@@ -133,7 +136,10 @@ def save_film(
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     hundredths = max(round(100 / frames_per_second), 2)  # the unit of a GIF; viewers show nothing faster than 2
     duration = [10 * hundredths] * (len(images) - 1) + [1000]
-    images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+    film = io.BytesIO()
+    images[0].save(film, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+    Path(path).unlink(missing_ok=True)
+    Path(path).write_bytes(film.getvalue())
 
 
 class Team(Protocol):

@@ -346,6 +346,7 @@ KNOWN_PACKAGES = {
     "mpe2?": "mpe-spread",
     "smac": "smaclite-3s5z-sc2-v2",
 }
+OF_OTHERS = ("own:", "pettingzoo:", "gymnasium:")  # how names begin that lead to code of others, which is then run
 STEPS = (20_000_000, 2_000_000, 41)  # budgets on and off policy, and evaluations, where the paper says nothing
 
 

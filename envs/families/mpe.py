@@ -455,6 +455,8 @@ def read_network(path: str | os.PathLike[str], scenario: str) -> Network:
     Raises InputError where the file is missing or damaged, and where the network does not fit the scenario's opponent.
     """
     try:
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise ValueError("a pipe, for example, which may never end")
         with np.load(path) as arrays:
             network = Network(*(np.ascontiguousarray(arrays[name], np.float32) for name in Network._fields))
     except FileNotFoundError:

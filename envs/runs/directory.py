@@ -14,15 +14,17 @@ import shlex
 import shutil
 import sys
 import time
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import filelock
 
+from envs.runs.checkpoints import check_checkpoint, check_counters
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
 from envs.runs.process import Stopwatch, project_version, provenance, say, script_hash
+from envs.runs.valid import Invalid, is_whole
+from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError
 
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt", "checkpoint.new.pt")
@@ -78,7 +80,8 @@ def write_new(new: Path, content: bytes | memoryview) -> None:
     Raises OSError, on a full disk for example, and then leaves no file: a torn one would keep the disk full.
     """
     try:
-        with naming(new), open(new, "wb") as file:
+        new.unlink(missing_ok=True)  # it may be a symbolic link
+        with naming(new), open(new, "xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -100,7 +103,8 @@ def keep_names(folder: Path) -> None:
 def write_whole(path: Path, content: str | bytes) -> None:
     """Writes a file whole or not at all: whoever reads it finds the old content or the new one. Text is UTF-8.
 
-    Raises OSError, on a full disk for example, and then leaves what was there.
+    Raises OSError, on a full disk for example, and then leaves what was there. Where the name is that of a symbolic
+    link, a file takes its place.
     """
     new = path.with_name(f"{path.name}.new")
     write_new(new, content.encode() if isinstance(content, str) else content)
@@ -161,16 +165,6 @@ def read_checkpoint(directory: str | os.PathLike[str], algorithm: str) -> dict[s
     return saved
 
 
-def is_whole(checkpoint: Path) -> bool:
-    """Whether every byte of a checkpoint is as it was written. PyTorch writes zip files, and does not look at their
-    check sums itself."""
-    try:
-        with zipfile.ZipFile(checkpoint) as file:
-            return file.testzip() is None
-    except Exception:  # zipfile raises almost anything on a damaged file
-        return False
-
-
 def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
     """The last checkpoint in a directory that is whole, or None where there has never been one.
 
@@ -186,9 +180,8 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
             damaged.append(path.name)
             continue
         try:
-            saved = torch.load(path, map_location="cpu", weights_only=True)
-            saved["config"]["algorithm"], saved["config"]["flags"], saved["rows"], saved["seconds"]
-            saved = renewed(saved)
+            saved = renewed(torch.load(path, map_location="cpu", weights_only=True))
+            check_checkpoint(saved, path.stat().st_size)
         except Exception:  # torch.load raises almost anything on a damaged file
             damaged.append(path.name)
             continue
@@ -227,16 +220,29 @@ def renewed_config(config: dict[str, Any]) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def fitting_checkpoint(directory: str | os.PathLike[str]) -> Iterator[None]:
-    """Raises InputError where what a checkpoint holds does not fit the script that loads it."""
+    """Raises InputError where what a checkpoint holds does not fit the script that loads it.
+
+    Networks that are made here have no more weights than the checkpoint: its flags may name larger ones.
+    """
+    from envs.runs.weights import AtMost  # imports PyTorch
+
+    places = (Path(directory, name) for name in CHECKPOINTS)
     try:
-        yield
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        raise InputError(f"{directory}: the checkpoint does not fit this script ({type(error).__name__}).") from error
+        with AtMost(max((path.stat().st_size for path in places if path.exists()), default=0)):
+            yield
+    except Exception as error:
+        why = error if isinstance(error, Invalid) else type(error).__name__
+        raise InputError(f"{directory}: the checkpoint does not fit this script ({why}).") from error
 
 
 def safe_name(text: str) -> str:
-    """The text as a name that every file system accepts; a very long one is cut and told apart by a hash."""
+    """The text as a name that every file system accepts, and that is no other folder's, as ".." is.
+
+    A very long one is cut and told apart by a hash.
+    """
     name = re.sub(r"[^A-Za-z0-9_.=-]", "_", text)
+    if not name.strip("."):
+        name = name.replace(".", "_") or "_"
     if len(name) > 200:
         name = f"{name[:180]}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     return name
@@ -279,7 +285,11 @@ class RunDirectory:
         try:
             str(path).encode()  # TensorBoard writes it like this
             found = sorted(name for name in os.listdir(path) if not SYSTEMS.match(name)) if path.exists() else []
-            foreign = [name for name in found if not self._is_ours(name)]
+            has_checkpoint = bool({*CHECKPOINTS[:2]} & set(found))
+            if links := [name for name in found if (path / name).is_symlink()]:
+                raise InputError(f"{path} holds a symbolic link, {links[0]!r}; a run would write where it leads.")
+            # A file of somebody else's, such as a spreadsheet's lock, does not matter beside a checkpoint.
+            foreign = [name for name in found if not self._is_ours(name)] if not has_checkpoint else []
             begun = any(name.removesuffix(".new") in (*CHECKPOINTS, ARRIVED, "progress.json") for name in found)
             if foreign or (set(found) - {"lock", "wandb-id"} and not begun):
                 raise InputError(f"{path} holds what is not a run of ours, such as {(foreign or found)[0]!r}.")
@@ -314,6 +324,8 @@ class RunDirectory:
         saved = last_checkpoint(self.path) if self.args.resume else None
         if saved is None:
             return None
+        with fitting_checkpoint(self.path):
+            check_counters(saved)
         then, now = saved["config"], self.config
         if then["algorithm"] != now["algorithm"]:
             raise InputError(f"{self.path} holds a run of {then['algorithm']}.py.")
@@ -390,6 +402,8 @@ class RunDirectory:
         with contextlib.suppress(ValueError):  # it lies elsewhere
             script = script.relative_to(Path.cwd())
         words = ["python", str(script), "--watch", str(self.path)]
+        if self.args.env.startswith(OF_OTHERS):  # `watch` runs code of others only where the command line names it
+            words += ["--env", self.args.env]
         say(f"{self.path} is complete; this plays what was learnt: {shlex.join(words)}")
 
 
