@@ -18,8 +18,11 @@ from collections.abc import Mapping
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from envs.adapters import as_gymnasium
 from envs.adapters.foreign import import_module, parse_kwargs
+from envs.settings import Settings
 from envs.tasks import Task, task, task_names
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 
@@ -60,6 +63,8 @@ def make(
     env_kwargs: str | Mapping[str, Any] = "",
     max_episode_steps: int = 0,
     flatten_images: bool = False,
+    divide_images: bool = True,
+    action_bins: int = 0,
     env_workers: int = 0,
     pictures: bool = False,
 ) -> VectorEnv:
@@ -73,13 +78,16 @@ def make(
     for the tasks of MPE with a built-in opponent, whose network "opponent='<file>'" replaces.
     max_episode_steps: episodes are cut after so many steps; 0: by the environment's own clock.
     flatten_images: make vectors of observations that are images.
+    divide_images: divide images of bytes by 255; False where they have codes, and not brightness.
+    action_bins: the number of values that each dimension of a continuous action gets; 0: there are no such actions.
     env_workers: the number of processes in which the sub-environments are played; 0: this process.
     pictures: build them so that they can draw themselves, where they can.
 
     Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
     or seed out of range.
     """
-    for option, value in (("max_episode_steps", max_episode_steps), ("env_workers", env_workers)):
+    whole = {"max_episode_steps": max_episode_steps, "action_bins": action_bins, "env_workers": env_workers}
+    for option, value in whole.items():
         if not isinstance(value, numbers.Integral) or value < 0:
             raise InputError(f"{option} is {value}; it must be a whole number from 0 on.")
     described = task(name)
@@ -90,9 +98,14 @@ def make(
         options["max_episode_steps"] = max_episode_steps
     if flatten_images:
         options["flatten_images"] = True
+    if not divide_images:
+        options["divide_images"] = False
+    if action_bins:
+        options["action_bins"] = action_bins
     if env_workers:
         options["env_workers"] = env_workers
 
+    before = Settings.now()
     if name.startswith("own:"):
         module = import_module(name, described.module)
         if not hasattr(module, "Env"):
@@ -121,10 +134,33 @@ def make(
         env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options, **given)
     except MemoryError:
         raise InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.") from None
-    env.checks_numbers |= name.startswith("own:")
+    finally:
+        if name.startswith("own:"):
+            changed = before.changed(after := Settings.now())
+            before.hold(after)
+    if name.startswith("own:"):
+        if "folder" in changed:
+            raise InputError(f"{name} changes the working directory, in which a run finds and keeps its files.")
+        env.checks_numbers = True
+    check_memory(env)
     if described.module in PICTURES:
         env.can_draw, env.picture = True, PICTURES[described.module]
     return env
+
+
+def check_memory(env: VectorEnv) -> None:
+    """Raises InputError where the arrays of an environment, of which nothing is written yet, are larger than the free
+    memory."""
+    room = sum(array.nbytes for array in vars(env).values() if isinstance(array, np.ndarray))
+    if room < 2**28:  # it takes a while to look at the memory
+        return
+    import psutil
+
+    if room > (free := psutil.virtual_memory().available):
+        raise InputError(
+            f"{env.name} with num_envs={env.num_envs:,} takes {room / 2**20:,.0f} MiB, more than the free memory "
+            f"({free / 2**20:,.0f})."
+        )
 
 
 def named_kwargs(name: str, env_kwargs: str) -> str:

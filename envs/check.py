@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.faults import in_words, place
+from envs.settings import Settings
 from envs.vector import INFO_ARRAYS, RESULTS, InputError, VectorEnv
 
 Make = Callable[[int, int, bool], VectorEnv]  # of num_envs, seed and copy
@@ -29,6 +30,14 @@ Masks = NDArray[np.bool_]  # [env, agent, action]
 Check = Callable[[Make], Iterable[str]]
 
 EPISODES = 3
+SETTINGS = {
+    "dtype": "PyTorch's type of numbers",
+    "gradients": "whether PyTorch makes gradients",
+    "device": "PyTorch's device",
+    "threads": "PyTorch's threads",
+    "folder": "the working directory",
+    "errors": "what NumPy does in an overflow",
+}
 FAR = 20.0  # observations beyond it are far from 1
 
 
@@ -40,17 +49,26 @@ def problems(make: Make, progress: Callable[[list[Check]], Iterable[Check]] = it
     """
     found: list[str] = []
     make(1, 0, True).close()
+    made: list[VectorEnv] = []
+
+    def made_here(num_envs: int, seed: int, copy: bool) -> VectorEnv:
+        made.append(make(num_envs, seed, copy))
+        return made[-1]
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `hints` shows them
-        for check in progress([arrays, copies, ends, randomness, generators, refusals, masked_resets]):
+        for check in progress([arrays, copies, ends, randomness, generators, settings, refusals, masked_resets]):
             try:
-                for sentence in check(make):
+                for sentence in check(made_here):
                     if sentence not in found:
                         found.append(sentence)
             except InputError as error:  # a sentence already
                 found.append(str(error))
             except Exception as error:  # an assertion of the game, for example
                 found.append(failure(error, check.__doc__ or ""))
+            finally:
+                while made:
+                    made.pop().close()
             if found:  # what is wrong there would only come up again, and confuse
                 break
     return found
@@ -65,6 +83,7 @@ def hints(make: Make) -> list[str]:
         warnings.simplefilter("always")
         env = make(1, 0, True)
         largest = max(float(np.abs(step[0]).max(initial=0)) for step in play(env, 0))
+        env.close()
     bounds = np.abs([env.single_observation_space.low, env.single_observation_space.high])  # type: ignore[attr-defined]
     finite = bounds[bounds < np.finfo(np.float32).max]
     found = []
@@ -278,6 +297,17 @@ def generators(make: Make) -> Iterator[str]:
                 f"The environment calls {call}, or something like it, {' and '.join(moments)}. A whole program shares "
                 "that generator, so whatever else draws from it repeats itself."
             )
+
+
+def settings(make: Make) -> Iterator[str]:
+    """Settings that a whole program shares (PyTorch's, NumPy's, the working directory) stay as they are."""
+    before = Settings.now()
+    last_of(play(make(1, 0, True), 0))
+    after = Settings.now()
+    before.hold(after)
+    if changed := before.changed(after):
+        names = ", ".join(SETTINGS[name] for name in changed)
+        yield f"The environment changes settings of the whole program ({names}), on which a training depends."
 
 
 def states_after(make: Make, seed: int) -> dict[str, dict[str, bytes]]:

@@ -40,6 +40,12 @@ def place(error: BaseException) -> str | None:
     return f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else None
 
 
+def is_ours(error: BaseException) -> bool:
+    """Whether it was raised here, as by a signal that ends the program, and not by the code that was called."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return bool(frames) and Path(frames[-1].filename).is_relative_to(PASS_ON[0])
+
+
 def is_a_games(file: str) -> bool:
     """Whether code in this file can be a game's."""
     path = Path(file)

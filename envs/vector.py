@@ -39,11 +39,12 @@ finished:
 
 from __future__ import annotations
 
+import functools
 import importlib
 import operator
 import secrets
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -69,6 +70,7 @@ NUMBERS = {  # arrays of numbers, and what one of them is
 # Columns of evaluations.csv and of benchmark/results, whose names no statistic can have
 RESULT_COLUMNS = {"point", "timestep", "wall_seconds", "cpu_seconds", "return_mean", "return_std", "episode_length"}
 RESULT_COLUMNS |= {"task", "family", "algorithm", "sharing", "setting", "seed", "total_timesteps", "paper_timesteps"}
+RESULT_COLUMNS |= {"commit", "episode", "return"}
 
 
 class InputError(ValueError):
@@ -76,6 +78,10 @@ class InputError(ValueError):
 
     It names an option as `max_episode_steps`; a script shows that as the flag --max-episode-steps.
     """
+
+
+class WorkerLost(InputError):
+    """A worker process was killed, which is no mistake of the user's: a run can go on from its last checkpoint."""
 
 
 def fresh_seed() -> int:
@@ -123,9 +129,11 @@ def forbidden_action(actions: NDArray[np.int64], action_mask: NDArray[np.bool_])
 
 
 def check_number(num_envs: int) -> None:
-    """Raises ValueError where there is no sub-environment."""
+    """Raises ValueError where there is no sub-environment, or more than any memory has room for."""
     if num_envs < 1:
         raise ValueError(f"num_envs is {num_envs}; there must be at least one sub-environment.")
+    if num_envs > 2**60:  # more than NumPy can count the bytes of
+        raise ValueError(f"num_envs is {num_envs}; there must be at most 2^60 sub-environments.")
 
 
 def check_seed(seed: int) -> None:
@@ -183,10 +191,8 @@ class VectorEnv(GymnasiumVectorEnv):
         self.episode_limit = episode_limit
 
         self.single_observation_space = Box(low, high, (n_agents, obs_size), np.float32)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.choices = tuple(choices) if choices is not None else (n_actions,) * n_agents
         self.single_action_space = MultiDiscrete(np.array(self.choices))
-        self.action_space = MultiDiscrete(np.tile(self.choices, (num_envs, 1)))  # batch_space would forget the choices
 
         self.observations = np.zeros((num_envs, n_agents, obs_size), np.float32)
         self.rewards = np.zeros(num_envs, np.float32)
@@ -213,6 +219,16 @@ class VectorEnv(GymnasiumVectorEnv):
         self._flags = b""
         self._generators = [np.random.default_rng(0)] * num_envs  # of families in plain Python, made at each reset
         self._set_seed(seed)
+
+    @functools.cached_property
+    def observation_space(self) -> Any:  # type: ignore[override]
+        """The space of the observations of all sub-environments, which takes twice their memory: made when needed."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @functools.cached_property
+    def action_space(self) -> Any:  # type: ignore[override]
+        """The space of the actions of all sub-environments. `batch_space` would forget the choices."""
+        return MultiDiscrete(np.tile(self.choices, (self.num_envs, 1)))
 
     def _connect(self) -> None:
         """Build what refers to the arrays: the state, if it is a view, and the results of `reset` and `step`."""
@@ -299,6 +315,8 @@ class VectorEnv(GymnasiumVectorEnv):
 
         A reset of all begins the same episode, number `env.episode`, in each of them. With a seed this is number 0.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(f'options must be a dictionary, such as {{"reset_mask": ...}}, and not {options!r}.')
         mask = options.get("reset_mask") if options else None
         if mask is not None:
             self._check_mask(mask)

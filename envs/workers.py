@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.vector import InputError
+from envs.vector import InputError, WorkerLost
 
 HANGS = 2.0  # seconds after which a game that does not return is no longer waited for, but told to close
 PATIENCE = 8.0  # seconds that it then has to close
@@ -45,10 +45,21 @@ def ignore_stops(connection: Connection) -> None:
 
 
 def follow(parent: Any) -> None:
-    """Ends this process some seconds after its parent, where a game that hangs keeps it from ending by itself."""
+    """Ends this process some seconds after its parent, where a game that hangs keeps it from ending by itself.
+
+    And what the game has started.
+    """
     parent.join()
     time.sleep(PATIENCE)
+    kill_group(os.getpid())
     os._exit(1)
+
+
+def kill_group(leader: int) -> None:
+    """Ends a process that leads a group, as `ignore_stops` has it, and what it has started. Windows has no groups."""
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(leader, signal.SIGKILL)
 
 
 def end(connections: list[Connection], workers: list[Any]) -> None:
@@ -61,6 +72,10 @@ def end(connections: list[Connection], workers: list[Any]) -> None:
             worker.join(max(begun + seconds - time.monotonic(), 0))
             if worker.is_alive():
                 getattr(worker, stop)()
+    for worker in workers:
+        worker.join(HANGS)
+        if worker.exitcode != 0:  # it could not end by itself, so what its games have started may still be there
+            kill_group(worker.pid)
 
 
 def read(connection: Connection) -> Any:
@@ -98,9 +113,17 @@ def serve(connection: Connection, build: Callable[[], Any], n_games: int) -> Non
         write(connection, traceback.format_exc())
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the games are being closed
-        for game in games:
-            game.close()
+        close(games)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def close(games: list[Any]) -> None:
+    """Closes games, each once, and also those behind one that fails. Says what fails: at an end nobody can mend it."""
+    while games:
+        try:
+            games.pop(0).close()
+        except InputError as error:
+            print(error, file=sys.stderr)
 
 
 @contextlib.contextmanager
@@ -141,16 +164,19 @@ class Games:
         self._workers: list[Any] = []
         self._connections: list[Connection] = []
         self._place: list[tuple[int, int]] = []  # of each game: its worker, and its number there
+        # A program that ends without `close` closes its games, and says to the workers that it ends, before it waits
+        # for processes that games have started.
         if n_workers == 0:
-            self._here = [build() for _ in range(n_games)]
+            util.Finalize(self, close, [self._here], exitpriority=0)
+            for _ in range(n_games):
+                self._here.append(build())
             return
-        # A program that ends without `close` says so to the workers before it waits for them.
         util.Finalize(self, end, [self._connections, self._workers], exitpriority=0)
         context = multiprocessing.get_context("spawn")
         for worker, block in enumerate(np.array_split(np.arange(n_games), min(n_workers, n_games))):
             self._place += [(worker, i) for i in range(len(block))]
             ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs, build, len(block)), daemon=True)
+            process = context.Process(target=serve, args=(theirs, build, len(block)))
             with hidden_main(), held_signals():
                 process.start()
             theirs.close()
@@ -160,13 +186,13 @@ class Games:
     def call(self, method: str, arguments: Mapping[int, tuple[Any, ...]]) -> list[Any]:
         """Call a method of some of the games. Returns the results, in the order of the arguments.
 
-        Raises what the game raises; from a worker process a RuntimeError with the worker's traceback. After that, and
-        after an interrupted call, the workers have ended.
+        Raises what the game raises; from a worker process a RuntimeError with the worker's traceback, and WorkerLost
+        where others have killed the process. After that, and after an interrupted call, the workers have ended.
         """
         if self._here:
             return [getattr(self._here[game], method)(*values) for game, values in arguments.items()]
-        if self._connections[0].closed:
-            raise RuntimeError(f"{self.name}: its worker processes ended when it was closed or a call was interrupted.")
+        if not self._connections or self._connections[0].closed:
+            raise RuntimeError(f"{self.name}: it was closed, or a call to its worker processes was interrupted.")
         requests: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
         for game, values in arguments.items():
             worker, i = self._place[game]
@@ -182,8 +208,7 @@ class Games:
 
     def close(self) -> None:
         """End the games and their processes."""
-        for game in self._here:
-            game.close()
+        close(self._here)
         end(self._connections, self._workers)
 
     def _answer(self, worker: int) -> list[Any]:
@@ -194,6 +219,8 @@ class Games:
         if isinstance(answer, InputError):
             raise answer
         if answer is None:
-            how = f"exit code {self._workers[worker].exitcode}"
-            raise RuntimeError(f"{self.name}: worker process {worker} has ended without a word ({how}).")
+            code = self._workers[worker].exitcode
+            if code == -getattr(signal, "SIGKILL", 0):
+                raise WorkerLost(f"{self.name}: worker process {worker} was killed, perhaps since memory ran out.")
+            raise InputError(f"{self.name}: worker process {worker} has ended without a word (exit code {code}).")
         raise RuntimeError(f"{self.name}: worker process {worker} has ended with this error:\n\n{answer}")

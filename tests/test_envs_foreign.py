@@ -247,7 +247,10 @@ def test_workers_play_what_one_process_plays() -> None:
 
 @pytest.mark.parametrize(
     ("how", "message"),
-    [("error", r"fails in step \(.*toys.py, line \d+\) with ZeroDivisionError: the toy"), ("killed", "exit code -9")],
+    [
+        ("error", r"fails in step \(.*toys.py, line \d+\) with ZeroDivisionError: the toy"),
+        ("killed", "worker process 0 was killed, perhaps since memory ran out"),
+    ],
 )
 def test_a_worker_that_dies_ends_the_run(how: str, message: str) -> None:
     env = envs.make("pettingzoo:toy_broken", 3, env_kwargs={"how": how}, env_workers=2)
@@ -286,9 +289,7 @@ def test_after_an_interrupted_call_the_workers_have_ended() -> None:
     finally:
         signal.signal(signal.SIGALRM, before)
     for _ in range(2):
-        with pytest.raises(
-            RuntimeError, match="its worker processes ended when it was closed or a call was interrupted"
-        ):
+        with pytest.raises(RuntimeError, match="it was closed, or a call to its worker processes was interrupted"):
             env.reset()
     env.close()
 
@@ -748,7 +749,10 @@ def test_flags_are_kept_and_watched(monkeypatch: pytest.MonkeyPatch, capsys: Any
     ]
     flags += ["--eval-episodes", 2, "--run-dir", tmp_path / "run"]
     assert main(monkeypatch, capsys, "ippo", *flags)[0] == 0
-    assert main(monkeypatch, capsys, "ippo", "--watch", tmp_path / "run", "--eval-episodes", 2)[0] == 0
+    watch = ["--watch", tmp_path / "run", "--eval-episodes", 2]
+    code, said = main(monkeypatch, capsys, "ippo", *watch)
+    assert code == 2 and f"plays {SPREAD}, which is code of others; if you trust it, add --env {SPREAD}." in said
+    assert main(monkeypatch, capsys, "ippo", *watch, "--env", SPREAD)[0] == 0
     assert (tmp_path / "run" / "film.gif").stat().st_size > 1000
     flags[3] = "N=3"
     code, said = main(monkeypatch, capsys, "ippo", *flags, "--resume")

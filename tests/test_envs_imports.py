@@ -15,7 +15,8 @@ import envs
 PACKAGE = Path(envs.__file__).parent
 FILES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 
-FUNCTIONS = ("envs.VectorEnv", "envs.film", "envs.make", "envs.named_kwargs", "envs.optional")  # that runs use
+# What runs use of the package itself; __file__: to see that it is ours
+FUNCTIONS = tuple(f"envs.{name}" for name in "__file__ VectorEnv film make named_kwargs optional task".split())
 # What the files of a folder import from this package, also inside functions
 ALLOWED = {
     "needed.py": (),
@@ -26,10 +27,11 @@ ALLOWED = {
     "pictures": ("envs.families", "envs.render"),
     "tasks.py": ("envs.families", "envs.vector"),
     "faults.py": (),
-    "adapters": ("envs.adapters", "envs.faults", "envs.workers", "envs.tasks", "envs.vector", "envs.make"),
-    "check.py": ("envs.faults", "envs.vector"),
-    "__init__.py": ("envs.needed", "envs.adapters", "envs.families", "envs.tasks", "envs.vector", "envs.render"),
-    "runs": ("envs.runs", "envs.tasks", "envs.vector", *FUNCTIONS),
+    "settings.py": (),
+    "adapters": tuple(f"envs.{name}" for name in "adapters faults settings workers tasks vector make".split()),
+    "check.py": ("envs.faults", "envs.settings", "envs.vector"),
+    "__init__.py": tuple(f"envs.{name}" for name in "needed adapters families settings tasks vector render".split()),
+    "runs": ("envs.runs", "envs.faults", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 
 

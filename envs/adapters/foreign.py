@@ -4,25 +4,31 @@
     gymnasium:<id>           such as gymnasium:lbforaging:Foraging-8x8-2p-3f-v3
 
 Modules are looked for among the installed ones and in the current folder. The environment is built with the keyword
-arguments `env_kwargs`. Actions must be discrete. In Gymnasium a tuple of action spaces means several agents, and a
-single one means one agent.
+arguments `env_kwargs`. In Gymnasium a tuple of action spaces means several agents, and a single one means one agent.
+
+Actions are choices, from 0 on. A MultiDiscrete or MultiBinary action is one choice among all combinations of its parts,
+of which there may be 1,024. With `action_bins` a Box is one among all combinations of so many equally distant values in
+each dimension.
 
 Observations are vectors. A table of numbers, such as 27 entities of 5 values, is laid out as one. Images become vectors
 only with `flatten_images`: arrays of three and more dimensions, and those of bytes with two. Images of bytes from 0 to
-255 are divided by 255, since networks learn little from large numbers. Other numbers stay as they are.
+255 are divided by 255, since networks learn little from large numbers. Where such an image has codes, of kinds and
+colours for example, little is left of them: a warning says so, and `divide_images` turned off leaves them. Other
+numbers stay as they are.
 
 What the contract in `envs.vector` asks for is made as follows:
 
     observations   padded at the end with zeros to the largest agent. Zeros alone for an agent that has left the game
     action_mask    from the observation ({"observation": .., "action_mask": ..}) or from the info. It forbids what an
                    agent with fewer actions than another lacks. Agents that have left may only take action 0. An agent
-                   that has had a mask must have one until the episode ends
+                   that has had a mask must have one until the episode ends. Masks of the parts of a MultiDiscrete or
+                   MultiBinary action allow the combinations whose parts are all allowed
     agent_rewards  as the environment gives them. Where it has one reward for all, each agent has that
     rewards        the sum of the agents' rewards, as in the paper, or the one reward for all. Where the environment
                    has an attribute `teams` (a number for each agent), the sum over team 0. Where there is none, and
                    agents with other names earn something else, a warning says so once
-    state          what the environment's function `state` returns, if that is a vector or a table, or an image and
-                   `flatten_images` is given; otherwise the agents' observations
+    state          what the environment's function `state` returns, if that is a vector, a table, or a dictionary of
+                   these, or an image and `flatten_images` is given; otherwise the agents' observations
     statistics     the numbers in the info of an episode's last step, such as info["won"]. In PettingZoo, where each
                    agent has an info, their mean over team 0
     terminated     the last agents have left, and the clock is not the reason
@@ -58,12 +64,17 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from envs import vector
-from envs.faults import in_words, place
+from envs.adapters.actions import Actions
+from envs.adapters.observations import flattened
+from envs.faults import in_words, is_ours, place
+from envs.settings import Settings, no_arguments
 from envs.vector import RESULT_COLUMNS, InputError
-from envs.workers import Games
+from envs.workers import Games, close, hidden_main
 
 # Where environments keep the number of steps after which they end an episode
 CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")
+
+CODES = 20  # an image of bytes without a larger value has codes
 
 
 class Source(NamedTuple):
@@ -74,6 +85,8 @@ class Source(NamedTuple):
     kwargs: Mapping[str, Any]
     max_episode_steps: int  # 0: the environment's own clock
     flatten_images: bool
+    divide_images: bool
+    action_bins: int
     pictures: bool  # whether it shall be able to draw itself
 
 
@@ -96,26 +109,38 @@ class Game:
     rules = ""  # what the interface asks of reset and step
 
     def __init__(self, source: Source) -> None:
-        """Raises InputError for what cannot be built, and for what these algorithms cannot play."""
-        self.name, self.flatten_images = source.name, source.flatten_images
-        self.env = self.build(source, {})
+        """Raises InputError for what cannot be built, and as `look_at`."""
+        self.name, self.flatten_images, self.divide_images = source.name, source.flatten_images, source.divide_images
+        self.own = Settings.now()  # the game's, while its code runs
+        self.has_settings = False  # whether they are others than ours
+        with self.told("when it is built"):
+            self.env = self.build(source, {})
         self.can_draw = source.pictures and "rgb_array" in getattr(self.env, "metadata", {}).get("render_modes", ())
         if self.can_draw and "render_mode" not in source.kwargs:
-            # The first one is not closed, since this can end pygame for all others in the process.
-            try:
-                self.env = self.build(source, {"render_mode": "rgb_array"})
-            except InputError:  # it names the mode, but takes no such argument
-                self.can_draw = False
+            self.close()  # only here: to close a game can end pygame for all others
+            with self.told("when it is built"):
+                try:
+                    self.env = self.build(source, {"render_mode": "rgb_array"})
+                except InputError:  # it names the mode, but takes no such argument
+                    self.can_draw = False
+                    self.env = self.build(source, {})
 
+        try:
+            self.look_at(source)
+        except BaseException:
+            close([self])
+            raise
+
+    def look_at(self, source: Source) -> None:
+        """Finds sizes and limits, and begins an episode. Raises InputError for what these algorithms cannot play."""
         observation_spaces, action_spaces = self.spaces()
         self.n_agents = len(action_spaces)
         if not self.n_agents:
             raise InputError(f"{self.name} has no agents.")
-        for space in action_spaces:
-            if not isinstance(space, spaces.Discrete):
-                raise InputError(f"{self.name} has actions of the kind {space}; these algorithms need discrete ones.")
-        self.choices = tuple(int(space.n) for space in action_spaces)
-        self.first_actions = [int(space.start) for space in action_spaces]
+        if source.action_bins and not any(isinstance(space, spaces.Box) for space in action_spaces):
+            raise InputError(f"{self.name} has no continuous actions, and `action_bins` is for these.")
+        self.actions = [Actions(self.name, space, source.action_bins) for space in action_spaces]
+        self.choices = tuple(actions.n for actions in self.actions)
         self.spaces_seen = [self.space_seen(space) for space in observation_spaces]
         flat: list[Any] = []
         with contextlib.suppress(NotImplementedError):  # such as a space of texts of the package's own
@@ -123,7 +148,7 @@ class Game:
         if not flat or not all(isinstance(space, spaces.Box) for space in flat):
             raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
         self.obs_size = max(int(space.shape[0]) for space in flat)
-        self.scales = [scale(space) for space in self.spaces_seen]
+        self.scales = [scale(space, source.divide_images) for space in self.spaces_seen]
         largest = float(np.finfo(np.float32).max)
         lows = [(space.low / scale).min(initial=0) for space, scale in zip(flat, self.scales)]
         highs = [(space.high / scale).max(initial=0) for space, scale in zip(flat, self.scales)]
@@ -190,15 +215,27 @@ class Game:
 
     @contextlib.contextmanager
     def told(self, where: str) -> Iterator[None]:
-        """An error of the game becomes a sentence that says so, and one at the border says what the interface asks."""
+        """An error of the game becomes a sentence that says so, and one at the border says what the interface asks.
+
+        Where the game has settings of its own, they hold here.
+        """
+        quick = where in ("in step", "in state") and not self.has_settings
+        ours = Settings.now(quick)
+        self.own.hold(ours)
         try:
-            yield
-        except InputError:
+            with contextlib.nullcontext() if quick else hidden_main():  # the game may start a process
+                yield
+        except (InputError, KeyboardInterrupt):
             raise
-        except Exception as error:
-            raise InputError(
-                fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
-            ) from error
+        except BaseException as error:
+            if not isinstance(error, Exception) and is_ours(error):  # a signal ends the program
+                raise
+            said = fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
+            raise InputError(said) from error
+        finally:
+            self.own = Settings.now(quick)
+            self.has_settings = bool(ours.changed(self.own)) and not quick
+            ours.hold(self.own)
 
     def returned(self, method: str, result: Any, kinds: tuple[type, ...]) -> Any:
         """What reset or step gave, if it has these parts. Raises InputError for an older interface, such as Gym's."""
@@ -252,9 +289,7 @@ class Game:
                     f"{self.name}: agent {i} has no action mask after step {self.steps} of the episode, and had one "
                     "before; a mask must come with each observation."
                 )
-            if mask is not None and np.shape(mask) != (self.choices[i],):
-                raise InputError(f"{self.name}: agent {i} has {self.choices[i]} actions and the action mask {mask}.")
-            action_mask[i, : self.choices[i]] = True if mask is None else np.asarray(mask, np.bool_)
+            action_mask[i, : self.choices[i]] = True if mask is None else self.allowed(i, mask)
             if not action_mask[i].any():  # the agent has to wait
                 action_mask[i, 0] = True
         own = np.array(agent_rewards, np.float32)
@@ -266,38 +301,48 @@ class Game:
         if isinstance(observation, Mapping) and "observation" in observation and not within:
             observation = observation["observation"]
         try:
-            if isinstance(space, spaces.Box):  # of integers, too, nothing is cut to the type of the space
-                values = np.asarray(observation, np.float32).ravel()
-            elif isinstance(space, spaces.Discrete) and observation not in space:
-                raise ValueError("it is not one of its values")
-            else:
-                values = np.asarray(spaces.flatten(space, observation), np.float32)
-            if len(values) != spaces.flatdim(space):
-                raise ValueError(f"it has {len(values)} values")
-        except (ValueError, TypeError, KeyError, IndexError) as error:
+            return flattened(space, observation)
+        except (ValueError, TypeError, KeyError, IndexError, RuntimeError) as error:  # RuntimeError: PyTorch's
             raise InputError(f"{self.name}: an observation does not fit its space {space}: {error}.") from error
-        return values
+
+    def allowed(self, agent: int, mask: Any) -> NDArray[np.bool_]:
+        """What an action mask allows: [action]. Raises InputError for what is no mask of these actions."""
+        try:
+            return self.actions[agent].mask(agent, mask)
+        except InputError:
+            raise
+        except (ValueError, TypeError, KeyError, RuntimeError):
+            choices = self.choices[agent]
+            raise InputError(f"{self.name}: agent {agent} has {choices} actions and the action mask {mask}.") from None
 
     def state(self) -> NDArray[np.float32] | None:
         """What the environment calls its state, as a vector; None if it has none, or an image that is not wanted."""
         found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
         function = next((each for each in found if callable(each)), None)
+        said = None
+        with self.told("in state"):
+            try:
+                said = None if function is None else function()
+            except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
+                pass
+            except TypeError as error:
+                # A wrapper of PettingZoo calls what an environment within calls its state, though that is no function.
+                if "is not callable" not in str(error):
+                    raise
         try:
-            said = None if function is None else function()
-        except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
-            said = None
-        except Exception as error:
-            # A wrapper of PettingZoo calls what an environment within calls its state, though that is no function.
-            if not isinstance(error, TypeError) or "is not callable" not in str(error):
-                said = fault(self.name, "in state", error)
-                raise InputError(said or f"{self.name}: its function state fails: {in_words(error)}") from error
-            said = None
-        try:
-            state = None if said is None else np.asarray(said, np.float32)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{self.name}: its state is not an array of numbers: {error}.") from error
+            state = None if said is None else as_vector(said)
+        except (TypeError, ValueError, RuntimeError) as error:
+            if self.state_size > 0:
+                raise InputError(f"{self.name}: its state is not an array of numbers: {error}.") from error
+            if self.state_size < 0:
+                warnings.warn(
+                    f"{self.name}: its state is not an array of numbers, so the agents' observations take its place.",
+                    stacklevel=2,
+                )
+            state = None
         if state is not None and isinstance(said, np.ndarray) and is_image(said):
-            state = state / np.float32(255 if said.dtype == np.uint8 else 1) if self.flatten_images else None
+            bytes = said.dtype == np.uint8 and self.divide_images
+            state = state / np.float32(255 if bytes else 1) if self.flatten_images else None
         size = 0 if state is None else state.size
         if self.state_size not in (-1, size):
             raise InputError(f"{self.name}: its state has {size} values now, and had {self.state_size}.")
@@ -307,7 +352,7 @@ class Game:
         """A reward, which may be an array of one value. Raises InputError for anything else."""
         try:
             return float(np.asarray(reward, float).item())
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of PyTorch's that has a gradient
             raise InputError(f"{self.name}: {reward!r} is no reward.") from None
 
     def sum_over_team(self, agent_rewards: list[float]) -> float:
@@ -335,14 +380,19 @@ def import_module(name: str, target: str) -> Any:
     look_here()
     if target.startswith("."):
         raise InputError(f"{name}: {target} is not the name of a module.")
+    ours = "; the name `envs` is this project's, so a package of the game needs another one"
     try:
-        return importlib.import_module(target)
+        with no_arguments():
+            return importlib.import_module(target)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{target}.".startswith(f"{error.name}."):
-            raise InputError(f"{name} needs the module {error.name}, which is not installed.") from error
+            more = ours if f"{error.name}".startswith("envs.") else ""
+            raise InputError(f"{name} needs the module {error.name}, which is not installed{more}.") from error
     except ImportError as error:  # such as PettingZoo's words on what has moved to another package
-        raise InputError(f"{name}: {error}") from error
-    except Exception as error:
+        raise InputError(f"{name}: {error}{ours if error.name == 'envs' else ''}") from error
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) or (not isinstance(error, Exception) and is_ours(error)):
+            raise
         raise InputError(fault(name, "when it is imported", error) or f"{name}: {in_words(error)}") from error
     parent, _, last = target.rpartition(".")
     retired = getattr(sys.modules.get(parent), last, None)  # what PettingZoo has in the place of its old versions
@@ -351,14 +401,16 @@ def import_module(name: str, target: str) -> Any:
     return retired
 
 
-def fault(name: str, where: str, error: Exception) -> str | None:
+def fault(name: str, where: str, error: BaseException) -> str | None:
     """A sentence about an error in the code of a game; None if it came up before the game did anything."""
     found = place(error)
     return None if found is None else f"{name}: the game's own code fails {where} ({found}) with {in_words(error)}"
 
 
-def unbuilt(source: Source, error: Exception) -> InputError:
-    """Why a game could not be built: an error of its own, or what it was called with."""
+def unbuilt(source: Source, error: BaseException) -> BaseException:
+    """Why a game could not be built: an error of its own, or what it was called with. Signals stay what they are."""
+    if isinstance(error, KeyboardInterrupt) or (not isinstance(error, Exception) and is_ours(error)):
+        return error
     own = None if isinstance(error, ImportError) else fault(source.name, "when it is built", error)
     given = f"; it was given {dict(source.kwargs)}" if own and source.kwargs else ""
     return InputError(f"{own or f'{source.name}: {error}'}{given}")
@@ -369,13 +421,21 @@ def is_image(array: Any) -> bool:
     return len(array.shape) > 2 or (len(array.shape) == 2 and array.dtype == np.uint8)
 
 
-def scale(space: Any) -> NDArray[np.float32]:
+def as_vector(said: Any) -> NDArray[np.float32]:
+    """An array of numbers, or a dictionary of such by name, as one vector. TypeError or ValueError for other things."""
+    if isinstance(said, Mapping):
+        parts = [as_vector(said[name]).ravel() for name in sorted(said, key=str)]
+        return np.concatenate(parts) if parts else np.zeros(0, np.float32)
+    return np.asarray(said, np.float32)
+
+
+def scale(space: Any, divide_images: bool) -> NDArray[np.float32]:
     """What the values of a flattened observation are divided by: 255 for those of images of bytes, else 1."""
     parts = []
-    for leaf in leaves(space):
+    for leaf in leaves(space) if divide_images else []:
         bytes = isinstance(leaf, spaces.Box) and is_image(leaf) and leaf.dtype == np.uint8 and leaf.high.max() == 255
         parts.append(np.full(spaces.flatdim(leaf), 255 if bytes else 1, np.float32))
-    return np.concatenate(parts)
+    return np.concatenate(parts) if parts else np.ones(spaces.flatdim(space), np.float32)
 
 
 def reported(info: Mapping[Any, Any]) -> dict[str, float]:
@@ -386,7 +446,11 @@ def reported(info: Mapping[Any, Any]) -> dict[str, float]:
             value = value.item()
         if isinstance(value, bool | np.bool_ | numbers.Real) and abs(float(value)) < np.finfo(np.float32).max:
             name = str(key)
-            found[f"info_{name}" if name in RESULT_COLUMNS or name.startswith("team_") else name] = float(value)
+            own = name
+            while own.startswith("info_"):  # `info_seed` and `seed` stay two
+                own = own.removeprefix("info_")
+            taken = own in RESULT_COLUMNS or own.startswith("team_") or not own
+            found[f"info_{name}" if taken else name] = float(value)
     return found
 
 
@@ -417,7 +481,7 @@ class ParallelGame(Game):
             raise InputError(f"{source.name}: the module has no function parallel_env, as those of PettingZoo have.")
         try:
             env = make(**{**source.kwargs, **more})
-        except Exception as error:  # also of a retired version, or a missing package
+        except BaseException as error:  # also of a retired version, or a missing package
             raise unbuilt(source, error) from error
         if not hasattr(env, "metadata"):
             env.metadata = {}  # PettingZoo's own functions look into it
@@ -472,11 +536,8 @@ class ParallelGame(Game):
 
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
-        chosen = {
-            agent: first + action
-            for agent, first, action in zip(self.agents, self.first_actions, actions)
-            if agent in self.playing
-        }
+        choices = zip(self.agents, self.actions, actions)
+        chosen = {agent: own[action] for agent, own, action in choices if agent in self.playing}
         with self.told("in step"):
             result = self.env.step(chosen)
         observations, rewards, terminations, truncations, infos = self.returned("step", result, (Mapping,) * 5)
@@ -530,8 +591,9 @@ class TupleGame(Game):
         """See `Game`."""
         look_here()  # for the module in <module>:<id>
         try:
-            return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
-        except Exception as error:
+            with no_arguments():
+                return gymnasium.make(source.target, disable_env_checker=True, **{**source.kwargs, **more})
+        except BaseException as error:
             raise unbuilt(source, error) from error
 
     def spaces(self) -> tuple[list[Any], list[Any]]:
@@ -573,7 +635,7 @@ class TupleGame(Game):
 
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
-        chosen = tuple(first + action for first, action in zip(self.first_actions, actions))
+        chosen = tuple(own[action] for own, action in zip(self.actions, actions))
         with self.told("in step"):
             result = self.env.step(chosen[0] if self.one_agent else chosen)
         observations, rewards, ends, time_outs, info = self.returned("step", result, (*(object,) * 4, Mapping))
@@ -630,7 +692,7 @@ def parse_kwargs(text: str) -> dict[str, Any]:
         call = ast.parse(f"f({text})", mode="eval").body
         if isinstance(call, ast.Call) and not call.args and all(keyword.arg for keyword in call.keywords):
             return {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
-    except (SyntaxError, ValueError):
+    except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):  # MemoryError: very many brackets
         pass
     raise InputError(f"`env_kwargs` {text!r} is not like the arguments in a call, such as \"N=2, mode='easy'\".")
 
@@ -655,13 +717,18 @@ class Env(vector.VectorEnv):
         env_kwargs: Mapping[str, Any] | None = None,
         max_episode_steps: int = 0,
         flatten_images: bool = False,
+        divide_images: bool = True,
+        action_bins: int = 0,
         env_workers: int = 0,
         pictures: bool = False,
     ) -> None:
         """interface: a key of INTERFACES; target: the module or id. The others are those of `envs.make`."""
-        source = Source(name, target, env_kwargs or {}, max_episode_steps, flatten_images, pictures)
-        build = functools.partial(INTERFACES[interface], source)
-        game = build()  # in this process, since it says the sizes and what is wrong
+        kwargs = env_kwargs or {}
+        source = Source(name, target, kwargs, max_episode_steps, flatten_images, divide_images, action_bins, pictures)
+        game = INTERFACES[interface](source)  # in this process, since it says the sizes and what is wrong
+        if game.can_draw:
+            source = source._replace(kwargs={"render_mode": "rgb_array", **kwargs})
+        source = source._replace(pictures=game.can_draw)  # no game need try this again
         super().__init__(
             name,
             num_envs,
@@ -684,8 +751,13 @@ class Env(vector.VectorEnv):
         if game.teams() is None and names:
             kinds = dict.fromkeys(kind_of(name) for name in names)
             self._sides = [[i for i, name in enumerate(names) if kind_of(name) == kind] for kind in kinds]
+        images = np.zeros((game.n_agents, game.obs_size), np.bool_)  # whose values are divided
+        for i, divisors in enumerate(game.scales):
+            images[i, : len(divisors)] = divisors > 1
+        self._images = images if images.any() else None
+        self._brightest = 0.0
         game.close()
-        self.games = Games(name, build, num_envs, env_workers)
+        self.games = Games(name, functools.partial(INTERFACES[interface], source), num_envs, env_workers)
 
     def reset_envs(self, mask: NDArray[np.bool_], seed: np.uint64, episodes: NDArray[np.int64]) -> None:
         """See `VectorEnv`."""
@@ -728,6 +800,22 @@ class Env(vector.VectorEnv):
                     values[e] = outcome.statistics.get(name, math.nan)
             if len(self._sides) > 1:
                 self._look_at_sides(self.agent_rewards[e])
+            if self._images is not None and e == 0:
+                self._look_at_images(outcome)
+
+    def _look_at_images(self, outcome: Outcome) -> None:
+        """Warn, after the first episode, where images have so small numbers that these must be codes."""
+        self._brightest = max(self._brightest, round(255 * float(outcome.observations[self._images].max()), 2))
+        if not outcome.terminated and not outcome.truncated:
+            return
+        self._images = None
+        if 0 < self._brightest <= CODES:
+            warnings.warn(
+                f"{self.name}: its images are declared to have values up to 255, and in an episode none is above "
+                f"{self._brightest:.0f}. If these are codes, and not brightness, little is left of them when they are "
+                "divided by 255; `no_divide_images` leaves them.",
+                stacklevel=2,
+            )
 
     def _look_at_sides(self, rewards: NDArray[np.float32]) -> None:
         """Warn, once, where agents with other names earn something else, so that their sum may be of no use."""
