@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from benchmark import store
 from benchmark.plan import PlannedRun
-from envs.runs import ends_with_parent, place_arrived, say
+from envs.runs import KILLED, ends_with_parent, place_arrived, say
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -186,7 +186,7 @@ class Campaign:
             self.count(run)
         elif lost:
             self.try_again(run, "its node was lost")
-        elif code == -signal.SIGKILL:
+        elif code in (-signal.SIGKILL, KILLED):
             self.try_again(run, "it was killed, perhaps out of memory")
         elif in_use(run.directory):
             self.elsewhere.append(run)
@@ -270,11 +270,13 @@ def share_done(directory: Path) -> float:
 def read_progress(directory: Path) -> dict[str, Any]:
     """What the run in this directory says of itself in its progress.json; nothing before it says anything."""
     try:
-        said: dict[str, Any] = json.loads((directory / "progress.json").read_text())
-        said["timestep"] / said["total_timesteps"]
-        return said
-    except (OSError, ValueError, LookupError, TypeError, ZeroDivisionError):  # damaged, perhaps
+        said = json.loads((directory / "progress.json").read_text())
+    except (OSError, ValueError, RecursionError):
         return {}
+    numbers = ("timestep", "total_timesteps", "steps_per_second", "training_return")
+    good = isinstance(said, dict) and all(isinstance(said.get(name), int | float) for name in numbers)
+    good = good and isinstance(said.get("evaluation_return"), int | float | None) and said["total_timesteps"] > 0
+    return said if good else {}
 
 
 def table_row(run: PlannedRun) -> str:

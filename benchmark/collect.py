@@ -28,7 +28,7 @@ import pandas as pd
 import envs
 from benchmark import store
 from benchmark.measures import our_cells
-from envs.runs import one_sentence, read_checkpoint, renewed_config, safe_name, write_whole
+from envs.runs import Parser, one_sentence, read_checkpoint, renewed_config, safe_name, write_whole
 
 TEAMS = store.HERE / "teams"
 OF_A_MACHINE = ("command", "machine")  # what config.json says of no use elsewhere
@@ -90,7 +90,7 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
 @one_sentence(__file__)
 def main() -> None:
     """Collects what is complete, and says what was left out. Exit code 2 if something is wrong with a run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="?", type=Path, default=Path("runs"), help="a folder with runs; default: runs")
     parser.add_argument("--results", type=Path, default=store.RESULTS, help="the tables; default: benchmark/results")
     parser.add_argument("--replace", action="store_true", help="a seed that is there already is replaced")

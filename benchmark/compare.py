@@ -34,7 +34,7 @@ from benchmark import plots
 from benchmark.agreement import LEVEL
 from benchmark.store import RESULTS, load
 from envs import runs
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 POWER = 0.8
 GROUP = ["task", "sharing", "setting", "total_timesteps"]  # what both sides must have in common
@@ -188,11 +188,13 @@ def with_interval(sample: pd.Series) -> str:
 @one_sentence(__file__)
 def main() -> None:
     """Writes the comparison. Wrong input ends with one sentence and exit code 2."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs=2, metavar="algorithm", help="yours, and the one to compare it with")
     parser.add_argument("--results", type=Path, nargs="+", default=[RESULTS], metavar="folder", help="where both are")
     parser.add_argument("--output", type=Path, required=True, metavar="folder", help="for comparison.md and curves.png")
     args = parser.parse_args()
+    if len(set(args.names)) < 2:
+        parser.error(f"{args.names[0]} is compared with another algorithm, not with itself")
     comparison = Comparison(args.names, args.results)
     page = comparison.page()
     args.output.mkdir(parents=True, exist_ok=True)

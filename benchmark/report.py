@@ -58,7 +58,7 @@ from benchmark.store import (
     speeds,
 )
 from envs import InputError, runs
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 BEGIN = "<!-- results: begin (python benchmark/report.py writes what stands between these markers) -->"
 END = "<!-- results: end -->"
@@ -559,7 +559,7 @@ def between_markers(path: Path, text: str) -> str:
 @one_sentence(__file__)
 def main() -> None:
     """Writes the report. Wrong input ends with one sentence and exit code 2."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=RESULTS, help="the tables; default: benchmark/results")
     parser.add_argument("--output", type=Path, default=HERE, help="a folder for the report; default: benchmark")
     parser.add_argument("--marl-eval", type=Path, help="also write the evaluations to this file, in marl-eval's JSON")

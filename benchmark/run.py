@@ -36,7 +36,7 @@ import envs
 from benchmark import measures, plan, store
 from benchmark.campaign import SIGNALS, Campaign, Job, LocalJob, share_done
 from benchmark.plan import PlannedRun
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 GRID_SEEDS, SEEDS = 3, 5  # as in the paper
 RESULTS_HELP = """where complete runs are collected; what is there counts as done. Default: benchmark/results, with the
@@ -85,7 +85,7 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
 
 def parse() -> argparse.Namespace:
     """Reads the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--algorithms",
         nargs="+",

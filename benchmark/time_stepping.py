@@ -29,7 +29,7 @@ import numpy as np
 import envs
 from benchmark import store
 from envs import runs
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 ACTIONS = 1000  # joint actions drawn beforehand
 TRIALS = 20  # episodes of each sub-environment that say how many steps they have
@@ -156,7 +156,7 @@ def mpe2(name: str) -> Callable[[], int]:
 @one_sentence(__file__)
 def main() -> None:
     """Measure and print a table. What can be wrong is looked for before, since measuring takes long."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=DEFAULT_TASKS, help=f"default: {' '.join(DEFAULT_TASKS)}")
     parser.add_argument("--num-envs", nargs="+", type=int, default=[1, 10, 100], help="so many side by side")
     parser.add_argument("--seconds", type=float, default=2.0, help="for each figure")

@@ -30,7 +30,7 @@ if not __package__:  # as a program, from any folder
 import envs
 from benchmark.plan import ALGOS, load_script, script_names
 from envs import runs
-from envs.runs import fast_mkl, one_sentence
+from envs.runs import Parser, fast_mkl, one_sentence
 
 TURNS = 3
 WARM_UP = 5  # updates
@@ -102,7 +102,7 @@ def process(switch: str) -> ProcessPoolExecutor:
 @one_sentence(__file__)
 def main() -> None:
     """See the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--algorithms", nargs="+", default=["mappo"], choices=script_names(), help="default: mappo")
     parser.add_argument("--env", default="lbf-15x15-3p-5f", help="a task; default: lbf-15x15-3p-5f")
     parser.add_argument("--seconds", type=float, default=20, help="for each line; default: 20")

@@ -18,7 +18,7 @@ from tqdm import tqdm
 import envs
 from envs import tasks
 from envs.check import hints, problems
-from envs.runs import check_flags, one_sentence, with_flags
+from envs.runs import Parser, check_flags, one_sentence, with_flags
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -36,11 +36,13 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env-kwargs", default="", help="keyword arguments, as they stand in a call")
     parser.add_argument("--max-episode-steps", type=int, default=0, help="cut episodes after so many steps")
     parser.add_argument("--flatten-images", action="store_true", help="make vectors of images")
+    parser.add_argument("--no-divide-images", dest="divide_images", action="store_false", help="they have codes")
+    parser.add_argument("--action-bins", type=int, default=0, help="values in each dimension of continuous actions")
 
 
 def check_task(argv: list[str]) -> int:
     """Check a task, and say what is wrong. Returns the exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m envs check",
         description="Plays some episodes, and says what in an environment is not as envs/vector.py has it: shapes, "
         "seeds, masks, resets, flags. Exit code 0: nothing; 1: something.",
@@ -68,7 +70,7 @@ def main(argv: list[str]) -> int:
     if argv[:1] == ["check"]:
         return check_task(argv[1:])
     grammar = (tasks.__doc__ or "").split("\n\n")[1]
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m envs",
         description=(__doc__ or "").partition("\n\n")[2],
         epilog=f"names:\n{grammar}",

@@ -438,7 +438,7 @@ def load(path: Path) -> ModuleType:
 @runs.one_sentence(__file__)
 def main() -> None:
     """See the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = runs.Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("algorithm", choices=[*sorted(TOLERANCES), GAE], help="what the script should be")
     parser.add_argument("script", type=Path, help="your file")
     parser.add_argument(

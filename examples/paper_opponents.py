@@ -20,7 +20,7 @@ import torch
 
 from envs import InputError
 from envs.families import mpe
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 EPSILON = 1e-5  # of PyTorch's BatchNorm
 
@@ -42,7 +42,7 @@ def converted(params: Any, scenario: str) -> mpe.Network:
 @one_sentence(__file__)
 def main() -> None:
     """Converts both files. Wrong input ends with one sentence and exit code 2."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("adversary", type=Path, metavar="adv_params.pt")
     parser.add_argument("prey", type=Path, metavar="prey_params.pt")
     parser.add_argument("--output", type=Path, default=Path("opponents"), help="a folder; default: opponents")

@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 from envs import InputError
-from envs.runs import one_sentence
+from envs.runs import Parser, one_sentence
 
 ROOT = Path(__file__).resolve().parents[1]
 FAULTS = json.loads((ROOT / "examples/exercises/faults.json").read_text(encoding="utf-8"))
@@ -29,7 +29,7 @@ def faulty(number: int) -> str:
 @one_sentence(__file__)
 def main() -> None:
     """See the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("number", type=int, choices=range(1, len(FAULTS) + 1))
     parser.add_argument("script", type=Path, help="the file to write")
     args = parser.parse_args()

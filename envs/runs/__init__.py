@@ -13,13 +13,22 @@ A script calls what is here in one line each, so that a reader of an algorithm n
 
 # ruff: noqa: F401 (these are the names for the scripts)
 
+import sys
+from pathlib import Path
+
+import envs
+
+if Path(envs.__file__ or "").parent != Path(__file__).parents[1]:  # a folder of that name where the program is
+    theirs = next(iter(getattr(envs, "__path__", [envs.__file__])))
+    print(f"{theirs} takes the place of this project's package envs: rename it, or start elsewhere.", file=sys.stderr)
+    sys.exit(2)
+
 from envs.runs import fast_mkl  # isort: skip (before whatever imports PyTorch)
 from envs.runs.directory import (
     RunDirectory,
     describe,
     file_name,
     fitting_checkpoint,
-    is_whole,
     last_checkpoint,
     place_arrived,
     put,
@@ -47,6 +56,8 @@ from envs.runs.flags import (
 from envs.runs.log import Log, in_words
 from envs.runs.memory import forgotten
 from envs.runs.process import (
+    KILLED,
+    Parser,
     StopSignals,
     Stopwatch,
     ends_with_parent,
@@ -60,3 +71,4 @@ from envs.runs.process import (
 )
 from envs.runs.replay import EpisodeFile
 from envs.runs.run import Run, evaluate, main, own_generator, watch
+from envs.runs.valid import is_whole

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
+import io
+import itertools
 import math
 import os
+import re
 import shutil
 import sys
 import textwrap
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -21,6 +23,7 @@ import tyro
 
 import envs
 from envs.runs.process import flush_stdout
+from envs.runs.valid import read_json
 from envs.vector import RESULT_COLUMNS, InputError
 
 
@@ -48,12 +51,14 @@ class Flags:
     env_kwargs: str = ""  # of a pettingzoo:, gymnasium: or own: environment, such as "N=2, k=0.5"
     max_episode_steps: int = 0  # cut episodes of a PettingZoo or Gymnasium environment here (0: do not)
     flatten_images: bool = False  # make vectors of the images of a PettingZoo or Gymnasium environment
+    divide_images: bool = True  # divide images of bytes by 255; not where they have codes
+    action_bins: int = 0  # values in each dimension of a continuous action, which is made discrete (0: it is refused)
     env_workers: int = 0  # processes that play a PettingZoo or Gymnasium environment (0: this one)
 
 
 Args = TypeVar("Args")  # of a script
 
-OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images"}
+OF_THE_TASK = {"env_kwargs", "max_episode_steps", "flatten_images", "divide_images", "action_bins"}
 # These say nothing of the setting
 OF_ONE_RUN = {"seed", "env_workers", "device", "threads", "run_dir", "resume", "watch", "greedy", "track"}
 WITH_WATCH = OF_THE_TASK | {"env", "env_workers", "seed", "eval_episodes", "threads", "watch", "greedy"}
@@ -77,6 +82,7 @@ RANGES = {  # of the flags of our scripts
     "seed": Range(0, 2**63 - 1),
     "total_timesteps": COUNT,
     "max_episode_steps": Range(0, 10**9),
+    "action_bins": Range(0, 1024),
     "env_workers": Range(0, 10_000),
     "hidden_dim": Range(1, 16_384),
     "learning_rate": WEIGHT,
@@ -137,19 +143,23 @@ def parse_flags(args_class: type[Args], defaults: Callable[..., Args], argv: lis
 
     defaults: makes the Args for a task and a kind of sharing. So these two flags are found first, in every spelling
     that tyro accepts. doc: the script's docstring, which heads its help.
-    Raises InputError for a number out of range, for a device that is not there, and for flags that do not go together.
+    Raises InputError for what is no flag or no value of one, for a number out of range, for a device that is not there,
+    and for flags that do not go together.
     """
     others = [word for word in argv if word not in ("-h", "--help")]
-    default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
+    with in_one_sentence():
+        default, _ = tyro.cli(defaults, args=others, return_unknown_args=True)
     if len(others) < len(argv):
         with contextlib.suppress(BrokenPipeError, SystemExit):  # tyro exits where it has shown the flags
             show_help(args_class, default, doc or "")
         flush_stdout()
         sys.exit()
-    args: Any = tyro.cli(args_class, args=argv, default=default, registry=WHOLE_NUMBERS)
+    with in_one_sentence():
+        args: Any = tyro.cli(args_class, args=argv, default=default, registry=WHOLE_NUMBERS)
     check_flags(args)
-    if args.watch == "" and any(word.partition("=")[0] == "--watch" for word in argv):
-        raise InputError("--watch needs the directory of a run.")  # an unset variable of a shell, for example
+    for name in ("watch", "start_from", "run_dir"):  # an unset variable of a shell, for example
+        if name in given_flags(args_class, argv) and not getattr(args, name):
+            raise InputError(f"--{name.replace('_', '-')} needs the directory of a run.")
     if args.watch and (others := sorted(given_flags(args_class, argv) - WITH_WATCH)):
         raise InputError(f"--watch plays what was trained; --{others[0].replace('_', '-')} is for a training.")
     if args.greedy and not args.watch:
@@ -190,6 +200,21 @@ def filled(
 def without_value(args_class: type) -> list[str]:
     """The fields of a script's Args whose values come from its table or from the task."""
     return [field.name for field in dataclasses.fields(args_class) if field.default is dataclasses.MISSING]
+
+
+@contextlib.contextmanager
+def in_one_sentence() -> Iterator[None]:
+    """What tyro says of a wrong command line, a box of several lines, becomes InputError with its sentence."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            yield
+    except SystemExit:
+        lines = [line.strip("│|╭╮╰╯─- ") for line in said.getvalue().split("\n")]
+        sentence = " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines[2:])))
+        near = re.search(r"Perhaps you meant\W+(--[\w-]+)", said.getvalue())
+        more = f"did you mean {near[1]}?" if near else "--help lists the flags."
+        raise InputError(f"{sentence.rstrip('.')}; {more}") from None
 
 
 def given_flags(args_class: type, argv: list[str]) -> set[str]:
@@ -249,7 +274,7 @@ def changed_flags(args: Any, default: Any) -> dict[str, Any]:
 def identity(directory: str | os.PathLike[str]) -> str:
     """What run or team a directory holds: task, algorithm, sharing, seed and the hash of the script's text."""
     try:
-        config = json.loads(Path(directory, "config.json").read_text(encoding="utf-8"))
+        config = read_json(Path(directory, "config.json"))
         flags = config["flags"]
         sharing = "shared" if flags["parameter_sharing"] else "independent"
         return f"{flags['env']} {config['algorithm']}-{sharing} seed {flags['seed']} script {config.get('script')}"
@@ -299,6 +324,8 @@ def make_for(args: Any, num_envs: int, seed: int = 0, pictures: bool = False) ->
         env_kwargs=args.env_kwargs,
         max_episode_steps=args.max_episode_steps,
         flatten_images=args.flatten_images,
+        divide_images=args.divide_images,
+        action_bins=args.action_bins,
         env_workers=args.env_workers,
         pictures=pictures,
     )

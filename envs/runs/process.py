@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import ctypes
 import functools
 import hashlib
 import importlib.metadata
+import io
 import math
 import os
 import platform
@@ -18,18 +20,26 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from tqdm import tqdm
 
 from envs.runs import fast_mkl
-from envs.vector import InputError
+from envs.vector import InputError, WorkerLost
 
+KILLED = 128 + 9  # the exit code of a shell whose program was killed, and of a run whose worker was
 ECHO_SECONDS = 3.0  # within which a signal is the same one again
 
 
+def show(text: str) -> None:
+    """Writes a line to stdout. A reader such as `head`, which has seen enough, is no failure."""
+    with contextlib.suppress(BrokenPipeError):
+        print(text)
+    flush_stdout()
+
+
 def flush_stdout() -> None:
-    """Writes what is left of the output. A reader such as `head`, which has seen enough, is no failure."""
+    """Writes what is left of the output, to nowhere where nobody reads it any more."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -46,11 +56,36 @@ def say(text: str) -> None:
 
 
 def open_streams() -> None:
-    """Gives a process that was started with closed output (`2>&-`) streams that lead nowhere."""
+    """Gives a process that was started with closed output (`2>&-`) streams that lead nowhere.
+
+    What a terminal cannot show of a name, such as an accent, it shows as a number, and the process goes on.
+    """
     if sys.stdout is None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (it stays open)
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+class Parser(argparse.ArgumentParser):
+    """Reads a command line; what is wrong with it is one sentence."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """See `argparse`. An empty word, mostly an unset variable of a shell, is wrong where it is not the default."""
+        words = sys.argv[1:] if args is None else [*args]
+        ours = words[: words.index("--")] if "--" in words else words
+        for before, word in zip(["", *ours], ours):
+            option, equals, value = word.partition("=")
+            name = before if not word else option
+            empty = not word or (option.startswith("--") and equals and not value)
+            if empty and self.get_default(name.removeprefix("--").replace("-", "_")) != "":
+                self.error(f"{word.removesuffix('=') or name or 'the first word'} is given an empty value")
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Raises InputError, which `one_sentence` shows."""
+        raise InputError(f"{message}; {self.prog} --help lists what there is.")
 
 
 class Stopwatch:
@@ -81,6 +116,7 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.received: int | None = None
+        self.before: dict[int, Any] = {}  # what each did before
         self.counted: dict[int, int] = {}  # how often each has come
         self.since = -math.inf  # when the last one came that was no Ctrl-C
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
@@ -88,7 +124,18 @@ class StopSignals:
             ignored = name == "SIGHUP" and number and signal.getsignal(number) is signal.SIG_IGN  # by `nohup`
             if number is not None and not ignored:
                 self.counted[number] = 0
+                self.before[number] = signal.signal(number, self._note)
+
+    def keep(self) -> None:
+        """Takes them again where a game has taken one for itself."""
+        for number in self.counted:
+            if signal.getsignal(number) != self._note:
                 signal.signal(number, self._note)
+
+    def give_back(self) -> None:
+        """From here on each does what it did before: nothing is left to save, and what follows can be ended."""
+        for number, handler in self.before.items():
+            signal.signal(number, handler)
 
     def _note(self, number: int, frame: Any) -> None:
         first = self.received is None
@@ -141,8 +188,8 @@ def with_flags(sentence: str) -> str:
 def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
     """What goes wrong in a script for a reason that is not the script's ends with one sentence and exit code 2.
 
-    Such reasons are wrong input, a full disk or a lack of memory. Where a training diverges the code is 1, and after
-    Ctrl-C before a run can save anything 130.
+    Such reasons are wrong input, a full disk or a lack of memory. Where a training diverges the code is 1, after Ctrl-C
+    before a run can save anything 130, and where others have killed a worker process 137.
     """
     open_streams()
     try:
@@ -152,7 +199,7 @@ def one_sentence(script: str | os.PathLike[str]) -> Iterator[None]:
         say(f"{Path(script).stem}: {with_flags(str(error)) or 'there is not enough memory.'}")
         if isinstance(error, BrokenPipeError):
             flush_stdout()
-        sys.exit(2)
+        sys.exit(KILLED if isinstance(error, WorkerLost) else 2)
     except Diverged as error:
         say(f"{Path(script).stem}: {error}")
         sys.exit(1)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
+import shlex
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import envs
+from envs.faults import is_ours, place
 from envs.runs.directory import RunDirectory, fitting_checkpoint, last_checkpoint, read_checkpoint, write_episodes
 from envs.runs.flags import OF_THE_TASK, given_flags, make_for, parse_flags
 from envs.runs.log import Log, in_words
-from envs.runs.process import StopSignals, keep_freed_memory, one_sentence
+from envs.runs.process import StopSignals, keep_freed_memory, one_sentence, show
 from envs.runs.replay import EpisodeFile
+from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 
 if TYPE_CHECKING:
@@ -104,8 +108,13 @@ class Run:
                 self.restore(saved)
         elif args.start_from:
             start_from(args.start_from, self.directory.config["algorithm"], parts)
-        self.log = Log(self.directory.path, args, self.timestep, resumed=saved is not None)
+        self.resumed = saved is not None
         self.signals = StopSignals()
+
+    @functools.cached_property
+    def log(self) -> Log:
+        """What the run shows; it is made when all else is there, so that a run which is refused leaves nothing."""
+        return Log(self.directory.path, self.args, self.timestep, self.resumed)
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Goes on where a checkpoint was made."""
@@ -161,6 +170,7 @@ class Run:
         """
         import torch
 
+        log = self.log
         while self.point_is_due():
             point = len(self.rows)
             seed = int(np.random.SeedSequence([self.args.seed, point]).generate_state(1)[0])
@@ -168,7 +178,7 @@ class Run:
             results = evaluate(self.eval_env, team, seed)
             seconds = self.directory.seconds()
             self.rows.append({"point": point, "timestep": self.timestep, **seconds, **results})
-            self.log.evaluation(self.timestep, results)
+            log.evaluation(self.timestep, results)
             self.save()
 
     def count(self, played: Tensor, returns: NDArray[np.float64], metrics: Mapping[str, Tensor]) -> None:
@@ -182,9 +192,11 @@ class Run:
 
     def stop_if_asked(self) -> None:
         """Saves and ends the process where a signal has come, such as Ctrl-C."""
+        self.signals.keep()
         if self.signals.received:
             self.save()
             self.log.close()
+            self.close()
             self.signals.exit(self.timestep)
 
     def save_if_due(self) -> None:
@@ -200,6 +212,13 @@ class Run:
             self.replay.close()  # Windows deletes no file that is in use
         self.directory.complete()
         self.log.close()
+        self.close()
+
+    def close(self) -> None:
+        """Closes the environments, which may hang: the signals end the process again."""
+        self.signals.give_back()
+        self.env.close()
+        self.eval_env.close()
 
 
 def own_generator() -> torch.Generator:
@@ -236,10 +255,17 @@ def watch(args: Any, load: Callable[..., Team], given: set[str]) -> None:
     """Plays what was trained and prints the results, then films the first of the same episodes.
 
     given: the flags of the command line. Those of the task take the place of the run's own. Raises InputError where the
-    networks do not fit the task.
+    networks do not fit the task, and where the run alone names code of others: whoever made it chose what that is.
     """
     team = load(args.watch, args.seed, args.greedy)
-    chosen = {"env", *OF_THE_TASK} if "env" in given else given & OF_THE_TASK  # another task has other arguments
+    own = team.args.env
+    if "env" not in given and own.startswith(OF_OTHERS):
+        raise InputError(
+            f"The team of {args.watch} plays {own}, which is code of others; if you trust it, add --env "
+            f"{shlex.quote(own)}."
+        )
+    another = "env" in given and args.env != own
+    chosen = {"env", *OF_THE_TASK} if another else given & OF_THE_TASK  # another task has other arguments
     chosen |= given & {"env_workers"}
     played = dataclasses.replace(team.args, **{name: getattr(args, name) for name in chosen})
     env = make_for(played, args.eval_episodes, pictures=True)
@@ -251,13 +277,14 @@ def watch(args: Any, load: Callable[..., Team], given: set[str]) -> None:
             f"{n_actions} actions; {env.name} has {env.n_agents} with {env.obs_size} and {env.n_actions}."
         )
     totals = play(env, team, args.seed)
-    print(in_words(totals.means()), flush=True)
+    show(in_words(totals.means()))
     team = load(args.watch, args.seed, args.greedy)  # one that has drawn nothing yet, so that it plays the same
-    print(envs.film(env, team, args.seed, Path(args.watch, "film.gif")), flush=True)
+    show(envs.film(env, team, args.seed, Path(args.watch, "film.gif")))
+    env.close()
     try:
-        print(f"episodes: {write_episodes(args.watch, totals)}")
+        show(f"episodes: {write_episodes(args.watch, totals)}")
     except OSError as error:  # a directory that cannot be written, a full disk
-        print(f"There is no place for the episodes: {error}")
+        show(f"There is no place for the episodes: {error}")
 
 
 def main(
@@ -279,7 +306,12 @@ def main(
 
         keep_freed_memory()
         torch.set_num_threads(args.threads)
-        if args.watch:
-            watch(args, load, given_flags(args_class, sys.argv[1:]))
-        else:
-            train(args)
+        try:
+            if args.watch:
+                watch(args, load, given_flags(args_class, sys.argv[1:]))
+            else:
+                train(args)
+        except SystemExit as end:  # of an environment in which nothing else looks for it
+            if args.env.startswith("own:") and not is_ours(end):
+                raise InputError(f"{args.env}: its code ends the program ({place(end)}).") from end
+            raise
