@@ -50,6 +50,7 @@ def problems(make: Make, progress: Callable[[list[Check]], Iterable[Check]] = it
     found: list[str] = []
     make(1, 0, True).close()
     made: list[VectorEnv] = []
+    before = Settings.now()
 
     def made_here(num_envs: int, seed: int, copy: bool) -> VectorEnv:
         made.append(make(num_envs, seed, copy))
@@ -69,6 +70,7 @@ def problems(make: Make, progress: Callable[[list[Check]], Iterable[Check]] = it
             finally:
                 while made:
                     made.pop().close()
+                before.hold(Settings.now())  # for `settings`, which finds what changes them
             if found:  # what is wrong there would only come up again, and confuse
                 break
     return found
