@@ -22,6 +22,7 @@ import numpy as np
 from envs.vector import InputError, WorkerLost
 
 HANGS = 2.0  # seconds after which a game that does not return is no longer waited for, but told to close
+LOOK = 1.0  # seconds between two looks whether a worker that says nothing is still there
 PATIENCE = 8.0  # seconds that it then has to close
 
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -212,7 +213,10 @@ class Games:
         end(self._connections, self._workers)
 
     def _answer(self, worker: int) -> list[Any]:
-        answer = read(self._connections[worker])
+        # A process that a game has started has the worker's end of the connection, too, and may keep it open.
+        while not self._connections[worker].poll(LOOK) and self._workers[worker].is_alive():
+            pass
+        answer = read(self._connections[worker]) if self._connections[worker].poll(0) else None
         if isinstance(answer, list):
             return answer
         self.close()
