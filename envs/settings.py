@@ -14,8 +14,8 @@ import numpy as np
 class Settings(NamedTuple):
     """Settings of the program. None: not looked at."""
 
-    dtype: str = "float32"  # PyTorch's, of new tensors
-    gradients: bool = True  # whether PyTorch makes them
+    dtype: Any = None  # PyTorch's, of new tensors
+    gradients: bool | None = None  # whether PyTorch makes them
     device: str | None = None  # PyTorch's, of new tensors
     threads: int | None = None  # PyTorch's
     folder: str | None = None  # the working directory
@@ -23,17 +23,16 @@ class Settings(NamedTuple):
 
     @classmethod
     def now(cls, quick: bool = False) -> Settings:
-        """Those that hold. quick: only the first two, which take no time. PyTorch's are its own where it is not used.
+        """Those that hold. quick: only the first two, which take no time. None of PyTorch's where it is not used.
 
         A working directory that was deleted is none.
         """
-        found = cls()
         torch: Any = sys.modules.get("torch")
-        if hasattr(torch, "get_default_dtype"):  # it is imported, to its end
-            found = cls(str(torch.get_default_dtype())[6:], torch.is_grad_enabled())
+        used = torch is not None and hasattr(torch, "get_default_device")  # it is imported, to its end
+        found = cls(torch.get_default_dtype(), torch.is_grad_enabled()) if used else cls()
         if quick:
             return found
-        if hasattr(torch, "get_default_device"):
+        if used:
             found = found._replace(device=str(torch.get_default_device()), threads=torch.get_num_threads())
         folder = None
         with contextlib.suppress(FileNotFoundError):
@@ -44,14 +43,14 @@ class Settings(NamedTuple):
         """Sets what is not so. now: those that hold."""
         if self == now:
             return
-        torch = sys.modules.get("torch")
-        if torch is not None and self.dtype != now.dtype:
-            torch.set_default_dtype(getattr(torch, self.dtype))
-        if torch is not None and self.gradients != now.gradients:
+        torch: Any = sys.modules.get("torch")
+        if self.dtype not in (None, now.dtype):
+            torch.set_default_dtype(self.dtype)
+        if self.gradients not in (None, now.gradients):
             torch.set_grad_enabled(self.gradients)
-        if torch is not None and self.device not in (None, now.device):
+        if self.device not in (None, now.device):
             torch.set_default_device(None if self.device == "cpu" else self.device)
-        if torch is not None and self.threads not in (None, now.threads):
+        if self.threads not in (None, now.threads):
             torch.set_num_threads(self.threads)
         if self.folder not in (None, now.folder):
             os.chdir(self.folder or "")

@@ -415,19 +415,21 @@ class TestNames:
             (tmp_path / "envs" / "__init__.py").touch()
         script = tmp_path / "mine.py"
         script.write_text((ROOT / "algos" / "ippo.py").read_text())
-        for words in (["-m", "envs", "check", "matrix-climbing"], [str(script), "--env", "matrix-climbing"]):
+        for words in (["-m", "envs", "check", "matrix-climbing"], [str(script), "--help"]):
             done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
+            if done.returncode == 0:  # ours is found first, as where PYTHONPATH names it
+                assert not init
+                continue
             assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
             assert "takes the place of this project's package envs: rename it, or start elsewhere." in done.stderr
 
 
-def test_many_environments_take_no_time_to_be_refused() -> None:
-    """Nothing of their memory is written before."""
-    code = "import envs, resource\ntry:\n    envs.make('rware-large-20p-5s', 100_000)\nexcept envs.InputError: pass\n"
+def test_many_environments_take_no_memory_before_they_play() -> None:
+    """Their observations alone have 650 MB, and their spaces would have twice as much."""
+    code = "import envs, resource\ntry:\n    envs.make('rware-large-20p-5s', 10_000)\nexcept envs.InputError: pass\n"
     code += "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-    begun = time.process_time()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert int(done.stdout) * 1024 < 2**30 and time.process_time() - begun < 20
+    assert int(done.stdout) * 1024 < 2**30
 
 
 def test_options_of_a_reset_that_are_none() -> None:

@@ -112,7 +112,8 @@ class Game:
         """Raises InputError for what cannot be built, and as `look_at`."""
         self.name, self.flatten_images, self.divide_images = source.name, source.flatten_images, source.divide_images
         self.own = Settings.now()  # the game's, while its code runs
-        self.has_settings = False  # whether they are others than ours
+        self.same = True  # whether they are ours
+        self.has_settings = False  # whether others than PyTorch's first two are its own
         with self.told("when it is built"):
             self.env = self.build(source, {})
         self.can_draw = source.pictures and "rgb_array" in getattr(self.env, "metadata", {}).get("render_modes", ())
@@ -219,23 +220,30 @@ class Game:
 
         Where the game has settings of its own, they hold here.
         """
-        quick = where in ("in step", "in state") and not self.has_settings
+        quick = where == "in step" and not self.has_settings
         ours = Settings.now(quick)
         self.own.hold(ours)
         try:
-            with contextlib.nullcontext() if quick else hidden_main():  # the game may start a process
+            if quick:
                 yield
-        except (InputError, KeyboardInterrupt):
-            raise
+            else:
+                with hidden_main():  # the game may start a process
+                    yield
         except BaseException as error:
-            if not isinstance(error, Exception) and is_ours(error):  # a signal ends the program
-                raise
-            said = fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
-            raise InputError(said) from error
+            self.blame(where, error)
+            raise
         finally:
             self.own = Settings.now(quick)
+            self.same = self.own == ours
             self.has_settings = bool(ours.changed(self.own)) and not quick
             ours.hold(self.own)
+
+    def blame(self, where: str, error: BaseException) -> None:
+        """Raises InputError with a sentence about an error of the game's; not about a signal that ends the program."""
+        if isinstance(error, InputError | KeyboardInterrupt) or (not isinstance(error, Exception) and is_ours(error)):
+            return
+        said = fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
+        raise InputError(said) from error
 
     def returned(self, method: str, result: Any, kinds: tuple[type, ...]) -> Any:
         """What reset or step gave, if it has these parts. Raises InputError for an older interface, such as Gym's."""
@@ -320,14 +328,15 @@ class Game:
         found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
         function = next((each for each in found if callable(each)), None)
         said = None
-        with self.told("in state"):
+        with contextlib.nullcontext() if self.same else self.told("in state"):
             try:
                 said = None if function is None else function()
             except NotImplementedError:  # PettingZoo's function, where an environment has none of its own
                 pass
-            except TypeError as error:
+            except BaseException as error:
                 # A wrapper of PettingZoo calls what an environment within calls its state, though that is no function.
-                if "is not callable" not in str(error):
+                if not isinstance(error, TypeError) or "is not callable" not in str(error):
+                    self.blame("in state", error)
                     raise
         try:
             state = None if said is None else as_vector(said)
