@@ -347,7 +347,7 @@ def train(args: Args) -> None:
         "target_agents": deepcopy(agents).to(args.device),  # .to joins a GRU's weights, for cuDNN
         "optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
     }
-    rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
+    rng = runs.own_generator()  # continues PyTorch's; the training draws from it, and no game can
     run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
     team = Team(args, agents, rng)
     storage = new_storage(args, env)

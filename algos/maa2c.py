@@ -17,8 +17,8 @@ every step of V.
 
 r is the team's reward (with --individual-rewards agent i's own), standardised if
 --reward-standardisation. G is the n-step return, A the advantage, H the entropy, e --entropy-coef.
-If the episode ends k <= n steps after t, G has these k rewards; after a time-out gamma^k V' of the
-state after them is added, and after a real end nothing.
+If the episode ends k <= n steps after t, G has these k rewards; after a time-out (see --time-limit)
+gamma^k V' of the state after them is added.
 With --network gru, o_i,t in pi_i stands for all that agent i has observed in the episode so far.
 Without A, the step would make every taken action likelier. With A, actions that went better than
 expected get likelier, and the others rarer.
@@ -169,7 +169,7 @@ def n_step_returns(
     after the last step; played, no_bootstrap: [time, env], as in Batch. Returns [time, env, agent].
     """
     values = values.clone()
-    values[1:].masked_fill_(no_bootstrap.unsqueeze(-1), 0.0)  # of states after a real end
+    values[1:].masked_fill_(no_bootstrap.unsqueeze(-1), 0.0)  # of states that nothing follows
     returns = values  # of 0 steps; each round of the loop makes them one step longer
     for _ in range(min(n, len(rewards))):
         longer = rewards + gamma * returns[1:]
@@ -356,7 +356,7 @@ def train(args: Args) -> None:
         "actor_optimiser": torch.optim.Adam(agents.parameters(), args.learning_rate, fused=True),
         "critic_optimiser": torch.optim.Adam(critic.parameters(), args.learning_rate, fused=True),
     }
-    rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
+    rng = runs.own_generator()  # continues PyTorch's; the training draws from it, and no game can
     run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
     team = Team(args, agents, rng)
     storage = new_storage(args, env)

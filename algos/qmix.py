@@ -15,8 +15,8 @@ epsilon, any. Then one gradient step is made on a batch of whole episodes from t
     L         = mean over steps of (y_t - Mix(Q_1(o_1,t, a_1,t), ..., Q_n(o_n,t, a_n,t); s_t))^2
 
 r is the team's reward, standardised if --reward-standardisation; where the episode ended, y_t is
-only r_t. Q' and Mix' are older or slowly moving copies. Q chooses the next actions a*, its best; Q'
-values them (double Q-learning).
+only r_t. Q' and Mix' are older or slowly moving copies. a*_i is the best next action by Q_i; Q' and
+Mix' value it (double Q-learning).
 With --network gru, o_i,t stands for all that agent i has observed in the episode so far.
 
 Algorithm: Rashid et al., "QMIX: Monotonic Value Function Factorisation for Deep Multi-Agent
@@ -380,7 +380,7 @@ def train(args: Args) -> None:
         "target_mixer": deepcopy(mixer),
         "optimiser": torch.optim.Adam(learning, args.learning_rate, fused=True),
     }
-    rng = runs.own_generator()  # goes on from here: it draws all else, and no game can touch it
+    rng = runs.own_generator()  # continues PyTorch's; the training draws from it, and no game can
     run = runs.Run(__file__, args, paper_defaults, env, parts, Team, rng)
     team = Team(args, agents, rng)
     storage = new_storage(args, env)

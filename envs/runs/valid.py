@@ -87,7 +87,7 @@ def is_text(text: str) -> bool:
 
 
 def is_plain(tensor: torch.Tensor) -> bool:
-    """Whether a tensor is an array of finite numbers in the memory that it says it has."""
+    """Whether a tensor is an array of numbers in the memory that it says it has."""
     import torch
 
     if type(tensor) not in (torch.Tensor, torch.nn.Parameter) or tensor.layout != torch.strided:
