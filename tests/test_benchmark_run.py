@@ -274,7 +274,7 @@ class TestPlan:
         [
             (["--algorithms", "mapo"], "--algorithms mapo: neither one of"),
             (["--tasks", "matrix-climbin"], "unknown task 'matrix-climbin'"),
-            (["--", "--no-such-flag", "1"], "ia2c on matrix-climbing does not take"),
+            (["--", "--no-such-flag", "1"], "ia2c on matrix-climbing: Unrecognized options: --no-such-flag"),
             (["--", "--seed", "7"], "--seed is chosen by this program"),
             (["--", "--seed", "0"], "--seed is chosen by this program"),  # its default, which would go for all seeds
             (["--", "--no_resume"], "--resume is chosen by this program"),
@@ -780,7 +780,7 @@ class TestView:
 
     def test_lines_now_and_then(self, monkeypatch, capsys):
         monkeypatch.setattr(campaigns, "LINES_EVERY", 0.2)
-        assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", "0.02") == 0
+        assert campaign(monkeypatch, "--seeds", 1, "--", "--pace", "0.1") == 0
         said = capsys.readouterr().err
         assert "\x1b" not in said and "\r" not in said
         assert "0 of 1 runs in the results, 1 running" in said and campaigns.HEADER in said

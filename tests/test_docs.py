@@ -441,7 +441,7 @@ def try_command(line, folder, monkeypatch):
         test_readme.check_script(own_copies[words[1]], words[2:])
     elif words[:2] == ["python", "tools/paper_run_again.py"]:
         assert words[2] in (ROOT / words[1]).read_text(encoding="utf-8")  # what it prints is compared elsewhere
-    elif words[0] == "python" and words[1].startswith("examples/"):
+    elif words[0] == "python" and words[1].startswith(("examples/", "tests/")):
         known = test_readme.help_of(words[1])
         assert all(word.partition("=")[0] in known for word in words[2:] if word.startswith("--"))
     else:

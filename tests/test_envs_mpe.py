@@ -424,7 +424,7 @@ def test_an_opponent_of_ones_own(name: str, tmp_path: Path) -> None:
         ("mpe2-adversary", "915a50e2ce129bc1", "Results name a network by its contents, `env_kwargs` by its file"),
         ("mpe-tag", "damaged.npz", "'.*damaged.npz' is not the file of an opponent's network, or is damaged"),
         ("mpe-tag", "other.npz", "is not the file of an opponent's network"),
-        ("mpe-tag", ".", "the opponent's file cannot be read: .*Is a directory"),
+        ("mpe-tag", ".", "is not the file of an opponent's network"),
         ("mpe-tag", "narrow.npz", r"is no opponent for tag: .* from 16 values to 5 actions .* \(10, 20\), \(20,\)"),
         ("mpe-adversary", "wide.npz", r"is no opponent for adversary: .* from 10 values .* \(16, 20\)"),
         ("mpe-tag", "infinite.npz", "is no opponent for tag: its network must be finite"),
@@ -558,7 +558,7 @@ def test_an_interrupted_opponent_says_how_it_goes_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
 ) -> None:
     """Not with --resume, which this program does not have."""
-    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: setattr(self, "received", signal.SIGINT))
+    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: vars(self).update(received=signal.SIGINT, counted={}))
     with pytest.raises(SystemExit):
         opponents.train("mpe-tag", 0, tmp_path / "run")
     assert "; the same command goes on." in capsys.readouterr().err

@@ -163,7 +163,7 @@ def test_a_game_that_ends_by_itself_is_an_error(log: Path) -> None:
     env.reset()
     for actions in ([1, 1], [1, 1], [1, 0]):
         env.step([actions])
-    with pytest.raises(RuntimeError, match=r"smac-3m: worker process 0 has ended without a word \(exit code 1\)"):
+    with pytest.raises(envs.InputError, match=r"smac-3m: worker process 0 has ended without a word \(exit code 1\)"):
         env.step([[2, 0]])
 
 

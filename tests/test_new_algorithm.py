@@ -32,7 +32,8 @@ def test_a_copy_under_another_name_passes_and_what_is_missing_is_named(tmp_path)
     for folder in ("algos", "benchmark", "docs", "examples", "tests"):  # not envs, whose rules would be compiled anew
         unneeded = shutil.ignore_patterns("__pycache__", "results", "teams", "films", "updates")
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=unneeded)
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / name, tmp_path)
 
     script = (ROOT / "algos" / "ippo.py").read_text(encoding="utf-8").replace("ippo", "mine").replace("IPPO", "MINE")
     script = script.replace("ratios.clamp(1 - args.clip_coef, 1 + args.clip_coef)", "ratios.clamp(0.9, 1.1)")
