@@ -273,9 +273,10 @@ def read_progress(directory: Path) -> dict[str, Any]:
         said = json.loads((directory / "progress.json").read_text())
     except (OSError, ValueError, RecursionError):
         return {}
-    numbers = ("timestep", "total_timesteps", "steps_per_second", "training_return")
+    numbers, returns = ("timestep", "total_timesteps", "steps_per_second"), ("training_return", "evaluation_return")
     good = isinstance(said, dict) and all(isinstance(said.get(name), int | float) for name in numbers)
-    good = good and isinstance(said.get("evaluation_return"), int | float | None) and said["total_timesteps"] > 0
+    good = good and all(isinstance(said.get(name), int | float | None) for name in returns)
+    good = good and said["total_timesteps"] > 0
     return said if good else {}
 
 

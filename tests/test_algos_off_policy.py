@@ -476,7 +476,8 @@ def test_updates_and_checkpoints_of_a_run(monkeypatch, tmp_path, name):
     monkeypatch.setattr(runs.Run, "save", noted_save)
     flags: list = ["--env", "matrix-climbing", "--batch-size", 4, "--buffer-size", 11, "--hidden-dim", 8]
     flags += ["--total-timesteps", 9 * 25, "--eval-points", 1, "--eval-episodes", 1, "--run-dir", tmp_path / "run"]
-    monkeypatch.setattr(runs.run, "StopSignals", lambda: SimpleNamespace(received=None, keep=lambda: None))
+    no_signals = SimpleNamespace(received=None, keep=lambda: None, give_back=lambda: None)
+    monkeypatch.setattr(runs.run, "StopSignals", lambda: no_signals)
     module.train(parse(name, flags))
     assert numbers == [1, 2, 3, 4, 5, 6]
     assert saves == [0, 3, 6, 9, 9]  # the first evaluation, and the end

@@ -558,7 +558,8 @@ def test_an_interrupted_opponent_says_how_it_goes_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
 ) -> None:
     """Not with --resume, which this program does not have."""
-    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: vars(self).update(received=signal.SIGINT, counted={}))
+    told = {"received": signal.SIGINT, "counted": {}, "before": {}}
+    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: vars(self).update(told))
     with pytest.raises(SystemExit):
         opponents.train("mpe-tag", 0, tmp_path / "run")
     assert "; the same command goes on." in capsys.readouterr().err
