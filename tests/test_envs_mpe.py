@@ -559,7 +559,7 @@ def test_an_interrupted_opponent_says_how_it_goes_on(
 ) -> None:
     """Not with --resume, which this program does not have."""
     told = {"received": signal.SIGINT, "counted": {}, "before": {}}
-    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: vars(self).update(told))
+    monkeypatch.setattr(runs.StopSignals, "__init__", lambda self: self.__dict__.update(told))
     with pytest.raises(SystemExit):
         opponents.train("mpe-tag", 0, tmp_path / "run")
     assert "; the same command goes on." in capsys.readouterr().err
