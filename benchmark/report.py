@@ -464,7 +464,7 @@ tables. The cells with fewer than five seeds were completed to five, {claims.DRA
 paper's seeds and within the bounds of each game. "Holds in": in what share of these tables the claim holds, with twice
 the standard error of this share, and in what share cells that do not exist decide. A claim holds, or does not, where
 95 % of the tables say so, by more than this error. Else it is too close to call; or not measured, if cells that do not
-exist could still decide it. "Without stand-ins": the same without the tasks `smaclite-...-sc2`, which stand in for
+exist could still decide it. "Without stand-ins": the same without the tasks `smaclite-...`, which stand in for
 SMAC's and are not the same games. The last column says on which cells a verdict rests, and what one seed more of each
 would cost."""
 
