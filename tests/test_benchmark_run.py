@@ -551,10 +551,10 @@ class TestRunning:
         table = Path("results/matrix-climbing/ia2c-shared-pace=0.01.csv")
         for begun in (folder_of(0, "ia2c-shared-pace=0.01") / "checkpoint.pt", table):
             process = psutil.Popen(driver(tmp_path, *words, *flags))
-            wait_for(begun.exists)
+            wait_for(lambda begun=begun, process=process: begun.exists() and process.children())  # not between two runs
             started = process.children()
             process.kill()
-            assert process.wait() == -signal.SIGKILL and started
+            assert process.wait() == -signal.SIGKILL
             wait_for(lambda started=started: not any(map(goes_on, started)))
         assert sum(len(seeds_of(path.stem)) for path in Path("results").rglob("*.csv")) < 4  # something is left to do
         assert subprocess.run(driver(tmp_path, *words, *flags)).returncode == 0

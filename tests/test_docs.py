@@ -134,7 +134,7 @@ def test_symbols_of_the_formulas_are_mathematics_in_prose_too():
     page = algorithm_pages.page("mappo", (DOCS / "algorithms" / "mappo.md").read_text(encoding="utf-8"))
     prose = " ".join(page.partition("## In eight lines")[0].split())
     assert "$G$ is the n-step return, $A$ the advantage, $H$ the entropy" in prose
-    assert "after a time-out $\\gamma^k$ $V'$ of" in prose and "$r$ is the team's" in prose
+    assert "$\\gamma^k$ $V'$ of" in prose and "$r$ is the team's" in prose
     assert (
         "copy of the critic $V$, so" in prose and "follow every step of $V$." in prose and " A critic, needed" in prose
     )

@@ -171,7 +171,7 @@ CLAIMS: list[Claim] = [
     (
         "iql",
         "healthy",
-        "rises to 0.63 within\n90,000 steps",
+        "rises to 0.63 within 90,000 steps",
         lambda c, a, t: abs(c.within(EVALUATED, t - 10_000, t + 10_000).mean() - a) < 0.02,
     ),
     ("iql", "healthy", "comes to 0.98", lambda c, a: a.is_about(c.last(EVALUATED))),
