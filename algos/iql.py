@@ -145,7 +145,7 @@ class MultiAgentNetwork(nn.Module):
         memories = hidden or [None] * n
         results = [self.networks[i](inputs[i], memories[i]) for i in range(n)]
         outputs, new_hidden = zip(*results)
-        return torch.cat(outputs, dim=2), list(new_hidden)
+        return torch.cat(outputs, dim=2) if n > 1 else outputs[0], list(new_hidden)
 
 
 # --- maths ---
