@@ -141,7 +141,7 @@ class MultiAgentNetwork(nn.Module):
         n = len(self.networks)
         inputs = x.expand(-1, -1, n, -1).split(1, dim=2) if n > 1 else [x]  # what each agent sees
         memories = hidden or [None] * n
-        results = [self.networks[i](inputs[i], memories[i]) for i in range(n)]
+        results = [network(x, h) for network, x, h in zip(self.networks, inputs, memories)]
         outputs, new_hidden = zip(*results)
         return torch.cat(outputs, dim=2) if n > 1 else outputs[0], list(new_hidden)
 
