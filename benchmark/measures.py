@@ -15,7 +15,16 @@ import numpy as np
 import pandas as pd
 from scipy.stats import trim_mean
 
-from benchmark.store import KEY, PAPER_OPPONENTS, PAPER_SETTING, family, paper_cells, paper_task, setting_name
+from benchmark.store import (
+    KEY,
+    KNOWN_AGAINST,
+    PAPER_OPPONENTS,
+    PAPER_SETTING,
+    family,
+    paper_cells,
+    paper_task,
+    setting_name,
+)
 
 SAMPLES = 2000
 PERCENTILES = (2.5, 97.5)
@@ -61,8 +70,13 @@ def paper_setting(task: str) -> dict[str, Any]:
 
 
 def against(task: str) -> str:
-    """What a row of the tables adds to a task's name: the opponent, where another than the task's own plays."""
+    """The opponent, to be put behind a task's name, where another than the task's own plays."""
     return ", the paper's " + {"mpe-adversary": "adversary", "mpe-tag": "prey"}[task] if task in PAPER_OPPONENTS else ""
+
+
+def beside(task: str) -> str:
+    """What a row of the tables adds to a task's name: the opponent, and what is known against a stand-in."""
+    return against(task) + (f" ({KNOWN_AGAINST[task]})" if task in KNOWN_AGAINST else "")
 
 
 def has_paper_setting(evaluations: pd.DataFrame) -> pd.Series:

@@ -249,7 +249,7 @@ class Report:
         body = [
             [
                 tables.TITLES[cell.metric],
-                f"{cell.task}{measures.against(cell.task)}",
+                f"{cell.task}{measures.beside(cell.task)}",
                 cell.algorithm.upper(),
                 cell.sharing,
                 str(cell.seeds),

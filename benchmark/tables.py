@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.stats import ttest_ind_from_stats
 
 from benchmark.agreement import LEVEL, half_width
-from benchmark.measures import against, summarise
+from benchmark.measures import beside, summarise
 from benchmark.store import ALGORITHMS, FAMILIES, KEY, PAPER_SEEDS, SHARED, algorithm_order, family
 
 TITLES = {
@@ -195,10 +195,8 @@ def markdown(both: pd.DataFrame, metric: str, sharing: str) -> str:
     chosen = both[(both["metric"] == metric) & (both["sharing"] == sharing)]
     body = []
     for task, (ours, paper, differences) in rows(chosen, columns(both), our_text, paper_text, difference_text).items():
-        other_game = set(chosen.loc[chosen["task"] == task, "paper_task"]) == {
-            ""
-        }  # against this repository's opponents
-        body.append([task if other_game else f"{task}{against(task)}", "ours", *ours])
+        own_opponent = set(chosen.loc[chosen["task"] == task, "paper_task"]) == {""}
+        body.append([task if own_opponent else f"{task}{beside(task)}", "ours", *ours])
         for whose, row in (("paper", paper), ("difference", differences)):
             if set(row) - {"", "-"}:
                 body.append(["", whose, *row])
@@ -213,7 +211,7 @@ def short(both: pd.DataFrame) -> str:
     """Average returns with sharing and the paper's budget, one line for each of a few tasks."""
     chosen = both[(both["metric"] == "average_return") & (both["sharing"] == SHARED) & ~both["other_budget"]]
     chosen = chosen[chosen["task"].isin(SHOWN)]
-    body = [[f"`{task}`", *texts] for task, (texts,) in rows(chosen, columns(both), short_text).items()]
+    body = [[f"`{task}`{beside(task)}", *texts] for task, (texts,) in rows(chosen, columns(both), short_text).items()]
     return to_markdown(["task", *map(str.upper, columns(both))], body)
 
 

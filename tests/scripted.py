@@ -11,6 +11,11 @@ dead, and attacks it; a medivac heals in the same way the nearest ally that is h
 
 Each is played from the map's own starts, and from starts in which every unit that can move has been moved by up to 0.2
 in both directions. The table has the won battles in percent, and the 95 % interval of Wilson.
+
+    python tests/scripted.py --mirror [3s5z-sc2-v2 ...] [--battles 300] [--moved 0.2]
+
+The same for battles of like sides that both play by the enemies' rules, from moved starts: if the rules favour nobody,
+the allies win half of them.
 """
 
 from __future__ import annotations
@@ -29,8 +34,9 @@ from numpy.typing import NDArray
 
 import envs
 from envs.families.smaclite.environment import Env
-from envs.families.smaclite.rules import ATTACK, STOP
+from envs.families.smaclite.rules import ATTACK, NOBODY, NOWHERE, STOP, TICKS, WALK, tick
 
+MIRRORS = ("3s5z-sc2-v2", "2s3z-sc2-v2")
 PAPER_MAPS = ("2s_vs_1sc-sc2", "3s_vs_5z-sc2-v2", "3s5z-sc2-v2", "MMM2-sc2", "corridor-sc2-v2")
 
 
@@ -89,6 +95,53 @@ def won(name: str, form: str, n_battles: int, moved: float = 0) -> int:
     return int(battles.play(env, FORMS[form]())["win"].sum())
 
 
+def mirror(name: str, n_battles: int, moved: float) -> int:
+    """How many battles of `smaclite-<name>`, a map of like sides, allies win that play by the enemies' rules.
+
+    Only enemies choose for themselves. So before each tick the choices are made in copies of the battle: the enemies'
+    in one as it is, then, knowing these, the allies' in one with the sides exchanged. They are the allies' orders.
+    """
+    env, straight, turned = (envs.make(f"smaclite-{name}", n_battles, seed=1) for _ in range(3))
+    assert isinstance(env, Env) and isinstance(straight, Env) and isinstance(turned, Env)
+    n = env.n_agents
+    allies, enemies = slice(n), slice(n, 2 * n)
+    exchanged = np.r_[enemies, allies]
+    renamed = np.r_[exchanged, NOBODY]
+    unit = env.game.unit
+    for goal, start in ((unit.goal_x, unit.start_x), (unit.goal_y, unit.start_y)):
+        goal[:, allies] = 2 * start.mean(axis=1, keepdims=True) - goal[:, enemies]  # by 180 degrees
+    move_starts(env, moved)
+    for each in (env, straight, turned):
+        each.reset()
+    going, won = np.ones(n_battles, bool), np.zeros(n_battles, bool)
+
+    def one_tick(of: Env) -> None:
+        for e in np.flatnonzero(going):
+            tick(of.game, of.config, e)
+
+    for _ in range(env.episode_limit):
+        unit.place[:] = NOWHERE  # as in each step of an episode
+        for _ in range(TICKS):
+            straight.game.unit[:] = unit
+            one_tick(straight)
+            copy = turned.game.unit
+            copy[:] = unit[:, exchanged]
+            copy.target[:, allies] = straight.game.unit.target[:, enemies]
+            copy.target[:] = renamed[copy.target]
+            copy.place[:, allies] = straight.game.unit.place[:, enemies]
+            copy.order[:] = WALK
+            copy.order[:, allies] = np.where(copy.target != NOBODY, copy.target, WALK)[:, allies]
+            one_tick(turned)
+            target = renamed[copy.target[:, enemies]]
+            unit.order[:, allies] = np.where(target != NOBODY, target, WALK)
+            unit.place[:, allies] = copy.place[:, enemies]
+            one_tick(env)
+        alive = unit.hp > 0
+        won |= going & ~alive[:, enemies].any(axis=1)
+        going &= alive[:, allies].any(axis=1) & alive[:, enemies].any(axis=1)
+    return int(won.sum())
+
+
 def interval(wins: int, n: int) -> tuple[float, float]:
     """Of Wilson, 95 %: the least and the largest share of victories that fit to so many of n."""
     z = 1.96
@@ -96,22 +149,29 @@ def interval(wins: int, n: int) -> tuple[float, float]:
     return (middle - half) / (n + z**2), (middle + half) / (n + z**2)
 
 
+def percent(wins: int, n: int) -> str:
+    """Wins in percent of n, and their interval."""
+    low, high = interval(wins, n)
+    return f"{100 * wins / n:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("maps", nargs="*", default=PAPER_MAPS, help="the part of tasks' names behind smaclite-")
+    parser.add_argument("maps", nargs="*", help="the part of tasks' names behind smaclite-")
+    parser.add_argument("--mirror", action="store_true", help="like sides that both play by the enemies' rules")
     parser.add_argument("--battles", type=int, default=300)
     parser.add_argument("--moved", type=float, default=0.2)
     args = parser.parse_args()
+    if args.mirror:
+        for name in args.maps or MIRRORS:
+            print(f"| {name} | {percent(mirror(name, args.battles, args.moved), args.battles)} |", flush=True)
+        return
     print("| map | starts | " + " | ".join(FORMS) + " |")
     print("|---|---|" + "---|" * len(FORMS))
-    for name in args.maps:
+    for name in args.maps or PAPER_MAPS:
         for moved in (0.0, args.moved):
-            cells = []
-            for form in FORMS:
-                wins = won(name, form, args.battles, moved)
-                low, high = interval(wins, args.battles)
-                cells.append(f"{100 * wins / args.battles:.0f} ({100 * low:.0f} to {100 * high:.0f})")
+            cells = [percent(won(name, form, args.battles, moved), args.battles) for form in FORMS]
             print(f"| {name} | {'moved' if moved else 'as they are'} | {' | '.join(cells)} |", flush=True)
 
 

@@ -740,6 +740,13 @@ def test_what_cannot_be_is_shown_and_does_not_count():
     assert "‡" in lines[3] and len(lines) == 4 and both["difference"].isna().all()
 
 
+def test_rows_say_what_is_known_against_a_stand_in():
+    for task, words in store.KNOWN_AGAINST.items():
+        assert store.paper_task(task) != task, "not what is compared with the paper"
+        table = tables.markdown(compared(evaluations([[1, 2]], task=task)), "max_return", "shared")
+        assert f"| {task} ({words}) | ours |" in table
+
+
 def test_the_short_table_is_of_shared_parameters():
     both = compared(evaluations([[9, 9]] * 5), evaluations([[4, 4]] * 5, sharing="independent"))
     assert "9.00" in tables.short(both) and "4.00" not in tables.short(both)

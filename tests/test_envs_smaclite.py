@@ -269,6 +269,12 @@ def test_how_often_smacs_scripted_policy_wins(name: str, form: str, least: int, 
     assert least <= scripted.won(name, form, 100, moved=0.2) <= most
 
 
+@pytest.mark.slow
+def test_the_rules_favour_nobody() -> None:
+    """Where both sides play by the enemies' rules, each wins about half; the page has 1,200 battles."""
+    assert 0.35 < scripted.mirror("3s5z-sc2-v2", 150, moved=0.2) / 150 < 0.65
+
+
 def test_the_interval_of_a_win_rate() -> None:
     """Against scipy's, for none, some and all won."""
     for wins in (0, 40, 100):

@@ -40,8 +40,13 @@ def colour(algorithm: str) -> str:
 
 
 def against(task: str) -> str:
-    """What the paper's row of a task adds to its name."""
+    """The opponent of the paper's row of a task, to be put behind its name, where it is not the task's own."""
     return measures.against(task)
+
+
+def beside(task: str) -> str:
+    """What the paper's row of a task adds to its name."""
+    return measures.beside(task)
 
 
 @lru_cache

@@ -36,8 +36,8 @@ def sharing(argument: str) -> str:
 
 
 def task_name(task: str) -> str:
-    """A task in HTML, with the opponent's name where another than its own plays."""
-    return f"<code>{html.escape(task)}</code>{html.escape(results_data.against(task))}"
+    """A task in HTML, with what its rows add to its name."""
+    return f"<code>{html.escape(task)}</code>{html.escape(results_data.beside(task))}"
 
 
 def number(mean: float, interval: float) -> str:
@@ -242,7 +242,7 @@ def write_data(static: Path) -> None:
     overview = {
         "families": families,
         "algorithms": algorithms(),
-        "names": {task: f"{task}{results_data.against(task)}" for task in tasks},
+        "names": {task: f"{task}{results_data.beside(task)}" for task in tasks},
         "sharings": {task: [sharing for sharing in WORDS if sharing in measured[task]] for task in tasks},
     }
     write_script(static / "explorer-data.js", "window.explorerTasks = {}; window.explorerData", overview)
