@@ -93,10 +93,11 @@ class Report:
     def figures(self) -> dict[str, Callable[[], Figure]]:
         """What draws each figure that there are results for, by its name."""
         made: dict[str, Callable[[], Figure]] = {}
+        shown = self.shown[~self.shown["task"].map(has_older_rules).astype(bool)]
         for family in FAMILIES:
             for sharing in plots.SHARING:
-                if ((self.shown["family"] == family) & (self.shown["sharing"] == sharing)).any():
-                    made[f"curves-{family}-{sharing}"] = partial(plots.learning_curves, self.shown, family, sharing)
+                if ((shown["family"] == family) & (shown["sharing"] == sharing)).any():
+                    made[f"curves-{family}-{sharing}"] = partial(plots.learning_curves, shown, family, sharing)
         for sharing in plots.SHARING:
             if (self.normalised["sharing"] == sharing).any():
                 made[f"normalised-{sharing}"] = partial(plots.normalised_curves, self.normalised, sharing)
