@@ -381,7 +381,7 @@ def load(run_dir: str | Path, seed: int = 0, greedy: bool = False) -> Team:
         args = Args(**dict(saved["config"]["flags"], device="cpu"))
         agents = MultiAgentNetwork(args, *saved["network"])
         agents.load_state_dict(saved["parts"]["agents"])
-    return Team(args, agents, torch.Generator().manual_seed(seed), greedy)
+    return runs.careful(Team(args, agents, torch.Generator().manual_seed(seed), greedy), saved)
 
 
 if __name__ == "__main__":

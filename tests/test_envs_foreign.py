@@ -810,6 +810,64 @@ def test_a_team_forgets_some_episodes(name: str, sharing: bool) -> None:
         torch.testing.assert_close(mine.unflatten(1, (3, -1))[:, 1], first.unflatten(1, (3, -1))[:, 1])
 
 
+def change(observations: Any, info: Any, what: str) -> Any:
+    """What a team is given, wrong in one way."""
+    mask = info["action_mask"].copy()
+    if what == "no numbers":
+        observations = observations.copy()
+        observations[2, 0, 1] = np.nan
+    if what == "nothing allowed":
+        mask[1, 0] = False
+    if what == "additive":
+        mask = np.where(mask, 0.0, -1e9)
+    return {
+        "no environments": (observations[0], {"action_mask": mask[0]}),
+        "one mask for all": (observations, {"action_mask": mask[:1]}),
+        "no axis of a mask": (observations, {"action_mask": mask[0]}),
+        "an agent less": (observations[:, 1:], {"action_mask": mask[:, 1:]}),
+        "other sizes": (observations[..., 1:], {"action_mask": mask}),
+        "a list": (observations.tolist(), {"action_mask": mask}),
+        "texts": (observations.astype(str), {"action_mask": mask}),
+        "no mask": (observations, {}),
+        "no info": (observations, mask),
+        "other environments": (observations[:2], {"action_mask": mask[:2]}),
+    }.get(what, (observations, {"action_mask": mask}))
+
+
+@pytest.mark.parametrize("name", ["ippo", "iql"])
+@pytest.mark.parametrize("sharing", [True, False])
+@pytest.mark.parametrize(
+    "what, said",
+    [
+        ("no environments", r"observations as an array of numbers, \[env, 3, 30\], and is given \[3, 30\]"),
+        ("one mask for all", "observations of 4 environments and masks of 1"),
+        ("no axis of a mask", r"\[env, 3, 9\], and is given \[3, 9\]"),
+        ("an agent less", r"\[env, 3, 30\], and is given \[4, 2, 30\]"),
+        ("other sizes", r"\[env, 3, 30\], and is given \[4, 3, 29\]"),
+        ("a list", "and is given list"),
+        ("texts", "and is given ndarray"),
+        ("no mask", "and is given NoneType"),
+        ("no info", "and is given NoneType"),
+        ("no numbers", "observations that are no finite numbers"),
+        ("nothing allowed", "must have 1 for what is allowed"),
+        ("additive", "must have 1 for what is allowed"),
+        ("other environments", r"has begun to play 4 environments, and is given 2; reset\(\) begins anew"),
+    ],
+)
+def test_what_a_trained_team_is_given(name: str, sharing: bool, what: str, said: str) -> None:
+    """One clear ValueError where actions would mean nothing."""
+    env = envs.make("smaclite-3m", 4)
+    observations, info = env.reset()
+    network = (env.n_agents, env.obs_size, env.n_actions, "gru")
+    team = runs.careful(untrained_team(name, env, sharing), {"network": network})
+    team.act(observations, info)
+    with pytest.raises(ValueError, match=said):
+        team.act(*change(observations, info, what))
+    np.testing.assert_array_equal(team.act(observations, info).shape, (4, 3))
+    team.reset()
+    team.act(observations[:2], {"action_mask": info["action_mask"][:2]})
+
+
 def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     code, said = main(monkeypatch, capsys, "qmix", "--env", "pettingzoo:toy_turns")
     assert code == 2 and "act in turn" in said and len(said.strip().splitlines()) == 1

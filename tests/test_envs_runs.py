@@ -341,7 +341,7 @@ class TestKills:
             if saved is not None:
                 with open(path / "evaluations.csv") as file:
                     assert len(list(csv.DictReader(file))) == len(saved["rows"]) == saved["timestep"] + 1
-            save(directory, self.rows(timestep), timestep=timestep)
+            save(directory, self.rows(timestep), timestep=timestep, budget=1)
         finally:
             directory._lock.lock.release()
 

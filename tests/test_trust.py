@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import torch
-from scripts import ROOT
+from scripts import ROOT, script
 from scripts import main as script_main
 
 from benchmark import store
@@ -112,6 +112,21 @@ def doubled(times: int) -> Any:
     return value
 
 
+def recast(weights: Saved, dtype: torch.dtype) -> Saved:
+    """Weights as numbers of another type."""
+    return {name: x.to(dtype) for name, x in weights.items()}
+
+
+def state(saved: Saved) -> Saved:
+    """What an optimiser keeps of the first weights."""
+    return saved["parts"]["critic_optimiser"]["state"][0]
+
+
+def group(saved: Saved) -> Saved:
+    """The settings of an optimiser."""
+    return saved["parts"]["critic_optimiser"]["param_groups"][0]
+
+
 MALFORMED: dict[str, Callable[[Saved], object]] = {
     "no parts": lambda saved: saved.pop("parts"),
     "parts without agents": lambda saved: saved.update(parts={}),
@@ -133,6 +148,7 @@ MALFORMED: dict[str, Callable[[Saved], object]] = {
     "weights that are not there": lambda saved: saved["parts"].update(x={"w": torch.zeros(1).expand(10**6, 10**6)}),
     "weights that are no numbers": lambda saved: [w.fill_(torch.nan) for w in saved["parts"]["agents"].values()],
     "a tensor as a setting": lambda saved: saved["config"].update(x=torch.zeros(2)),
+    "complex weights": lambda saved: saved["parts"].update(agents=recast(saved["parts"]["agents"], torch.complex64)),
 }
 FOR_RESUME: dict[str, Callable[[Saved], object]] = {
     "a budget of 0": lambda saved: saved.update(budget=0),
@@ -141,19 +157,39 @@ FOR_RESUME: dict[str, Callable[[Saved], object]] = {
     "no random numbers": lambda saved: saved.pop("rng"),
     "random numbers of another size": lambda saved: saved.update(rng=torch.zeros(3, dtype=torch.uint8)),
     "an optimiser of another kind": lambda saved: saved["parts"].update(actor_optimiser={"state": 3}),
+    "evaluations all the time": lambda saved: saved.update(budget=1, rows=saved["rows"][:1], timestep=0),
+    "evaluations that were left out": lambda saved: saved.update(budget=10),
+    "evaluations out of order": lambda saved: saved["rows"].reverse(),
+    "an evaluation before its point": lambda saved: saved["rows"][1].update(timestep=249),
+    "an evaluation in the future": lambda saved: saved["rows"][1].update(timestep=251),
+    "a value in the place of a state": lambda saved: state(saved).update(exp_avg=1.0),
+    "a state of another shape": lambda saved: state(saved).update(exp_avg=torch.zeros(2, 2)),
+    "a state of another type": lambda saved: state(saved).update(exp_avg=state(saved)["exp_avg"].double()),
+    "a state that is no number": lambda saved: state(saved)["exp_avg"].fill_(torch.nan),
+    "a state below 0": lambda saved: state(saved)["exp_avg_sq"].fill_(-1.0),
+    "a step below 0": lambda saved: state(saved)["step"].fill_(-1.0),
+    "a part of a state": lambda saved: state(saved).pop("exp_avg"),
+    "a state of other weights": lambda saved: saved["parts"]["critic_optimiser"]["state"].update({99: {}}),
+    "a learning rate that is no number": lambda saved: group(saved).update(lr="0.1"),
+    "a learning rate that is infinite": lambda saved: group(saved).update(lr=torch.inf),
+    "weights of an optimiser's own": lambda saved: group(saved).update(params=[0]),
+}
+FOR_MORE_TRAINING: dict[str, Callable[[Saved], object]] = {  # a team at play does not need it
+    "a critic that is no number": lambda saved: saved["parts"]["critic"]["networks.0.last.bias"].fill_(torch.inf),
+    "a critic of another kind": lambda saved: saved["parts"]["critic"].update({"networks.0.last.bias": 1}),
 }
 
 
-@pytest.mark.parametrize("what", [*MALFORMED, *FOR_RESUME])
+@pytest.mark.parametrize("what", [*MALFORMED, *FOR_RESUME, *FOR_MORE_TRAINING])
 def test_malformed_checkpoints(gift: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, what: str) -> None:
     """One sentence, whatever one wants to do with them."""
-    change(gift, (MALFORMED | FOR_RESUME)[what])
+    change(gift, (MALFORMED | FOR_RESUME | FOR_MORE_TRAINING)[what])
     uses: list[list[Any]] = []
     if what != "very many agents":  # of no matter there
         uses.append([*SHORT, "--hidden-dim", 8, "--run-dir", gift, "--resume"])
     if what in MALFORMED:
         uses.append(["--watch", gift])
-    if what in MALFORMED and what not in ("a large network", "very many agents"):  # of no matter there
+    if what not in FOR_RESUME and what not in ("a large network", "very many agents"):  # of no matter there
         uses.append([*SHORT, "--hidden-dim", 8, "--start-from", gift, "--run-dir", "run"])
     for flags in uses:
         code, said = mappo(monkeypatch, capsys, *flags)
@@ -216,6 +252,12 @@ def test_what_others_put_beside_a_run(gift: Path, monkeypatch: pytest.MonkeyPatc
     for name in (".~lock.evaluations.csv#", "notes.txt"):
         (gift / name).touch()
     assert mappo(monkeypatch, capsys, *SHORT, "--hidden-dim", 8, "--run-dir", gift, "--resume")[0] == 0
+
+
+def test_a_loaded_team_looks_at_what_it_is_given(gift: Path) -> None:
+    team = script("mappo").load(gift)
+    with pytest.raises(ValueError, match="The team needs observations"):
+        team.act(torch.zeros(2, 1).numpy(), {})
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ A script calls what is here in one line each, so that a reader of an algorithm n
     fast_mkl     faster matrix products on AMD processors, if this package is imported before PyTorch
     flags        Flags, filled, parse_flags, Range, make_for, check_teams, check_one_team
     run          Run, own_generator, evaluate, watch, main: see docs/how-to/around-a-training.md
+    careful      careful: a trained team that looks at what it is given
     directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
     replay       EpisodeFile
     log          Log: progress bar, TensorBoard, progress.json
@@ -24,6 +25,7 @@ if Path(envs.__file__ or "").parent != Path(__file__).parents[1]:  # a folder of
     sys.exit(2)
 
 from envs.runs import fast_mkl  # isort: skip (before whatever imports PyTorch)
+from envs.runs.careful import careful
 from envs.runs.directory import (
     RunDirectory,
     describe,

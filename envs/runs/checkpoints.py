@@ -12,6 +12,7 @@ from envs.runs.valid import Invalid, check_plain
 from envs.vector import InputError
 
 MOST = 2**62  # of a count
+CLOSEST = 10  # evaluation points in a batch, where a longer run does not keep its own distance
 
 
 def is_count(value: Any, least: int = 0) -> bool:
@@ -65,7 +66,7 @@ def check_checkpoint(saved: Any, size: int) -> None:
     if (
         not is_dictionary(seconds, int, float)
         or seconds.keys() != times
-        or not all(map(math.isfinite, seconds.values()))
+        or not all(0 <= value < math.inf for value in seconds.values())
     ):
         raise Invalid("what it says of seconds is not valid")
     if not isinstance(network, list | tuple) or len(network) != 4 or not all(map(is_count, network[:3])):
@@ -80,7 +81,7 @@ def is_finite(weights: Any) -> bool:
     """Whether weights of a network are a tensor of finite numbers."""
     import torch
 
-    return isinstance(weights, torch.Tensor) and bool(torch.isfinite(weights).all())
+    return isinstance(weights, torch.Tensor) and not weights.is_complex() and bool(weights.float().isfinite().all())
 
 
 def check_counters(saved: Mapping[str, Any]) -> None:
@@ -88,10 +89,32 @@ def check_counters(saved: Mapping[str, Any]) -> None:
     import torch
 
     counters = (saved.get(name) for name in ("episode", "timestep", "updates"))
-    flags = saved["config"]["flags"]
-    points, total = flags.get("eval_points"), flags["total_timesteps"]
     rng = saved.get("rng")
     if not all(map(is_count, counters)) or not isinstance(rng, torch.Tensor) or rng.dtype != torch.uint8:
         raise Invalid("it does not say where its run goes on")
-    if not is_count(points, 1) or not is_count(saved.get("budget"), 1) or total * (points - 1) % saved["budget"]:
-        raise Invalid("what it says of its evaluations is not valid")
+    flags: dict[str, Any] = saved["config"]["flags"]
+    budget: Any = saved.get("budget")
+    points: Any
+    points, total = flags.get("eval_points"), flags["total_timesteps"]
+    wrong = Invalid("what it says of its evaluations is not valid")
+    if not is_count(points, 1) or not is_count(budget, 1) or total * (points - 1) % budget:
+        raise wrong
+    before = 0
+    for point, row in enumerate(saved["rows"]):
+        due = point * budget <= min(row["timestep"], total) * (points - 1)  # see Run.point_is_due
+        if row["point"] != point or not due or not before <= row["timestep"] <= saved["timestep"]:
+            raise wrong
+        before = row["timestep"]
+
+
+def check_distance(points: int, first_total: int, total: int, timestep: int, rows: int, batch: int) -> None:
+    """Raises Invalid where a run that became longer would be evaluated all the time.
+
+    points: in the first total, evenly; rows: evaluations so far; batch: the most steps of a batch.
+    """
+    if total == first_total:
+        return
+    due = min(timestep, total) * (points - 1) // first_total + 1 - rows
+    passed = batch * (points - 1) // first_total
+    if (most := max(due, passed)) > max(points, CLOSEST):
+        raise Invalid(f"a batch would pass {most:,} of its evaluation points")

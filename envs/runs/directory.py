@@ -230,6 +230,8 @@ def fitting_checkpoint(directory: str | os.PathLike[str]) -> Iterator[None]:
     try:
         with AtMost(max((path.stat().st_size for path in places if path.exists()), default=0)):
             yield
+    except InputError:
+        raise
     except Exception as error:
         why = error if isinstance(error, Invalid) else type(error).__name__
         raise InputError(f"{directory}: the checkpoint does not fit this script ({why}).") from error

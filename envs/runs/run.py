@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import envs
 from envs.faults import is_ours, place
+from envs.runs.checkpoints import check_distance
 from envs.runs.directory import RunDirectory, fitting_checkpoint, last_checkpoint, read_checkpoint, write_episodes
 from envs.runs.flags import OF_THE_TASK, given_flags, make_for, parse_flags
 from envs.runs.log import Log, in_words
@@ -118,9 +119,14 @@ class Run:
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Goes on where a checkpoint was made."""
+        from envs.runs.weights import load_part  # imports PyTorch
+
+        batch = self.env.num_envs * self.env.episode_limit
+        of_run = (saved["timestep"], len(saved["rows"]), batch)
+        check_distance(self.args.eval_points, saved["budget"], self.args.total_timesteps, *of_run)
         self.saved_parts = saved["parts"]
         for name, part in self.parts.items():
-            part.load_state_dict(self.saved_parts.pop(name))
+            load_part(part, self.saved_parts.pop(name))
         self.rng.set_state(saved["rng"])
         self.env.episode = saved["episode"]
         self.timestep, self.n_updates = saved["timestep"], saved["updates"]
@@ -235,20 +241,24 @@ def start_from(directory: str, algorithm: str, parts: Mapping[str, Any]) -> None
 
     Raises InputError where there is no such run, and where shapes differ. A team has no networks but its agents.
     """
+    from envs.runs.weights import load_part  # imports PyTorch
+
     saved = read_checkpoint(directory, algorithm)["parts"]
     for name, part in parts.items():
         source = name.removeprefix("target_")
         if source.endswith("optimiser") or source not in saved:
             continue
-        ours = {weights: tuple(x.shape) for weights, x in part.state_dict().items()}
-        theirs = {weights: tuple(x.shape) for weights, x in saved[source].items()}
-        for weights in ours | theirs:
-            if ours.get(weights) != theirs.get(weights):
-                raise InputError(
-                    f"--start-from: {source} of {directory} does not fit: the shape of {weights} is "
-                    f"{theirs.get(weights, 'none')} there and {ours.get(weights, 'none')} here."
-                )
-        part.load_state_dict(saved[source])
+        with fitting_checkpoint(directory):
+            ours, theirs = (
+                {weights: tuple(x.shape) for weights, x in of.items()} for of in (part.state_dict(), saved[source])
+            )
+            for weights in ours | theirs:
+                if ours.get(weights) != theirs.get(weights):
+                    raise InputError(
+                        f"--start-from: {source} of {directory} does not fit: the shape of {weights} is "
+                        f"{theirs.get(weights, 'none')} there and {ours.get(weights, 'none')} here."
+                    )
+            load_part(part, saved[source])
 
 
 def watch(args: Any, load: Callable[..., Team], given: set[str]) -> None:

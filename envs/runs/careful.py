@@ -1,0 +1,58 @@
+"""What a trained team is given by somebody's program is looked at before it acts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.vector import InputError
+
+if TYPE_CHECKING:
+    from envs.runs.run import Team
+
+SomeTeam = TypeVar("SomeTeam", bound="Team")
+
+
+def careful(team: SomeTeam, saved: Mapping[str, Any]) -> SomeTeam:
+    """The same team, whose `act` now raises InputError, a ValueError, where actions would mean nothing.
+
+    PyTorch itself broadcasts an array that has no axis for environments, and where no value is a number the first
+    action is the best one. A training does without this: its environment keeps to a contract.
+    saved: the checkpoint that it comes from.
+    """
+    n_agents, obs_size, n_actions = saved["network"][:3]
+    act = team.act
+
+    def act_carefully(observations: NDArray[np.float32], info: dict[str, Any]) -> NDArray[np.int64]:
+        mask: Any = info.get("action_mask") if isinstance(info, dict) else None
+        seen = shape("observations", observations, n_agents, obs_size)
+        allowed = shape('info["action_mask"]', mask, n_agents, n_actions)
+        if seen[0] != allowed[0]:
+            raise InputError(f"The team is given observations of {seen[0]} environments and masks of {allowed[0]}.")
+        if not np.isfinite(observations).all():
+            raise InputError("The team is given observations that are no finite numbers.")
+        if not (mask == mask.astype(bool)).all() or not mask.any(axis=2).all():
+            raise InputError('info["action_mask"] must have 1 for what is allowed and 0 for what is not, and some 1.')
+        remembered = sum(len(x[0]) for x in getattr(team, "hidden", None) or [] if x is not None)
+        if remembered not in (0, seen[0] * n_agents):
+            raise InputError(
+                f"The team has begun to play {remembered // n_agents} environments, and is given {seen[0]}; "
+                "reset() begins anew."
+            )
+        return act(observations, info)
+
+    vars(team)["act"] = act_carefully
+    return team
+
+
+def shape(name: str, array: Any, *sizes: int) -> tuple[int, ...]:
+    """The shape of an array of numbers. Raises InputError where it is none, [env, agent, ...], of these sizes."""
+    needed = f"The team needs {name} as an array of numbers, [env, {', '.join(map(str, sizes))}]"
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        raise InputError(f"{needed}, and is given {type(array).__name__}.")
+    if array.ndim != 3 or array.shape[1:] != sizes:
+        raise InputError(f"{needed}, and is given {[*array.shape]}.")
+    return array.shape
