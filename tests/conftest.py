@@ -1,6 +1,7 @@
 """For all tests."""
 
 from envs import runs  # isort: skip  # noqa: F401 (before PyTorch, as in the scripts: matrix products are as there)
+import gc
 import os
 import signal
 from pathlib import Path
@@ -21,6 +22,11 @@ def pytest_collection_modifyitems(config, items):
     """Leaves out the tests with the marker nightly, unless -m names it."""
     if "nightly" not in config.option.markexpr:
         items[:] = [item for item in items if item.get_closest_marker("nightly") is None]
+
+
+def pytest_collection_finish():
+    """What was imported stays: collections need not look at it, and processes that tests fork need not copy it."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

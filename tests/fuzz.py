@@ -11,6 +11,7 @@ each case that is not so.
 
 import copy
 import functools
+import gc
 import importlib
 import io
 import json
@@ -212,7 +213,7 @@ def make_case(good: Path, case: Path, seed: int) -> tuple[str, list[str]]:
     if use == "collect":
         return "benchmark.collect", ["../gift", "--results", "results"]
     if use == "watch":
-        return algorithm, ["--watch", "../gift", "--eval-episodes", "3"]
+        return algorithm, ["--watch", "../gift", "--eval-episodes", "1"]
     if use == "start":
         short[3] = "500"  # a team's budget would take minutes
         return algorithm, [*short, "--start-from", "../gift", "--run-dir", "run"]
@@ -267,6 +268,7 @@ def main() -> None:
     torch.set_num_threads(1)
     for name in ("mappo", "iql", "coma", "benchmark.collect"):
         importlib.import_module(name)
+    gc.freeze()  # or each case's collections would copy all that was imported
     for seed in range(int(sys.argv[3]), int(sys.argv[4]) + 1):
         case = folder / f"case{seed}"
         module, words = make_case(good, case, seed)

@@ -15,8 +15,10 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import programs
 import pytest
 import torch
 from kills import note_order
@@ -46,9 +48,9 @@ def command(name, *flags):
     return [sys.executable, str(ROOT / "algos" / f"{name}.py"), *map(str, flags)]
 
 
-def run(name, *flags, **options):
+def run(name, *flags):
     """A script in a process of its own."""
-    return subprocess.run(command(name, *flags), capture_output=True, text=True, timeout=300, **options)
+    return programs.run(command(name, *flags))
 
 
 def evaluations(directory):
@@ -80,14 +82,15 @@ def main(monkeypatch, capsys, name, *flags):
 def finished(request, made_once):
     """A short run of each script, never interrupted: its name and directory, which no test may change.
 
-    Two are processes of their own.
+    Two are processes of their own, one of them with an interpreter of its own.
     """
     name = request.param
 
     def train(directory):
         flags = [*short(name), "--run-dir", directory]
         if name in ("mappo", "qmix"):
-            done = run(name, *flags)
+            alone: Any = {"capture_output": True, "text": True}
+            done = run(name, *flags) if name == "qmix" else subprocess.run(command(name, *flags), **alone)
             assert done.returncode == 0, done.stderr
             assert done.stderr.count("return_mean") == 11  # a line for each evaluation where there is no terminal
         else:
@@ -194,7 +197,7 @@ with_and_without_replay = pytest.mark.parametrize("finished", ["mappo", "qmix"],
 def test_killed_and_resumed_is_never_interrupted(finished, tmp_path):
     """kill -9 at a random moment of the training, after the second evaluation."""
     name, directory = finished
-    process = subprocess.Popen(command(name, *short(name), "--run-dir", tmp_path / "run"))
+    process = programs.start(command(name, *short(name), "--run-dir", tmp_path / "run"))
     while rows_written(tmp_path / "run") < 2:
         assert process.poll() is None
         time.sleep(0.01)
@@ -236,9 +239,7 @@ def test_a_signal_stops_with_a_checkpoint(signal_name, code, monkeypatch, capsys
 @pytest.mark.slow
 def test_ctrl_c_in_a_process_of_its_own(tmp_path):
     longer = [*short("iql"), "--total-timesteps", "100000000", "--eval-points", "2"]
-    process = subprocess.Popen(
-        command("iql", *longer, "--run-dir", tmp_path / "run"), stderr=subprocess.PIPE, text=True
-    )
+    process = programs.start(command("iql", *longer, "--run-dir", tmp_path / "run"))
     while not (tmp_path / "run" / "checkpoint.pt").exists():
         assert process.poll() is None
         time.sleep(0.05)
@@ -435,7 +436,8 @@ def test_a_disk_that_fills_while_tensorboard_writes(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
     flags = ["--env", "matrix-climbing", "--hidden-dim", "8", "--total-timesteps", "50000", "--eval-points", "2"]
-    done = run("ia2c", *flags, "--run-dir", tmp_path / "run", preexec_fn=little_room)
+    words = command("ia2c", *flags, "--run-dir", tmp_path / "run")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, preexec_fn=little_room)
     assert done.returncode == 0 and "Traceback" not in done.stderr and len(evaluations(tmp_path / "run")) == 2
     said = f"{tmp_path / 'run'}: TensorBoard's file cannot be written (File too large); the run goes on without it."
     assert done.stderr.splitlines().count(said) == 1
@@ -569,10 +571,11 @@ class TestWrongInput:
     def test_a_name_in_a_terminal_without_unicode(self, tmp_path):
         flags = [*short("mappo"), "--total-timesteps", 500, "--eval-points", 2, "--run-dir", tmp_path / "ü"]
         terminal = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-        done = run("mappo", *flags, env=terminal)
+        words: dict[str, Any] = {"args": command("mappo", *flags), "capture_output": True, "text": True}
+        done = subprocess.run(**words, env=terminal)
         assert done.returncode == 2 and "PYTHONUTF8=1 changes that." in self.one_sentence(done.stderr)
         assert not any(tmp_path.iterdir())
-        assert run("mappo", *flags, env=terminal | {"PYTHONUTF8": "1"}).returncode == 0
+        assert subprocess.run(**words, env=terminal | {"PYTHONUTF8": "1"}).returncode == 0
 
     @pytest.mark.slow
     def test_a_directory_in_use(self, mappo_run, monkeypatch, capsys):

@@ -8,7 +8,6 @@ import itertools
 import json
 import os
 import shutil
-import subprocess
 import sys
 import threading
 from types import SimpleNamespace
@@ -17,6 +16,7 @@ from typing import Any
 import filelock
 import numpy as np
 import pandas as pd
+import programs
 import pytest
 from kills import full_everywhere, killed_everywhere
 from PIL import Image
@@ -1082,7 +1082,7 @@ def test_a_marl_eval_file_that_cannot_be_written_leaves_all_as_it_was(monkeypatc
 def test_wrong_input_is_named(command, said):
     """In processes, since a script that time_training.py times reads its flags in one of its own."""
     program, *flags = command
-    done = subprocess.run([sys.executable, program.__file__, *flags], capture_output=True, text=True)
+    done = programs.run([sys.executable, program.__file__, *flags])
     assert done.returncode == 2 and said in done.stderr
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import programs
 import pytest
 import torch
 from scripts import NAMES, ROOT, runs, script
@@ -51,7 +52,7 @@ def test_watching_one_and_the_wrong_script(tmp_path, monkeypatch, capsys):
     algorithm = config_of(place)["algorithm"]
     other = next(name for name in NAMES if name != algorithm)
     words = [str(ROOT / "algos" / f"{algorithm}.py"), "--watch", str(place), "--eval-episodes", "5"]
-    films = subprocess.run([sys.executable, *words], capture_output=True, text=True)
+    films = programs.run([sys.executable, *words])
     assert films.returncode == 0 and "return_mean" in films.stdout and (place / "film.gif").exists()
     monkeypatch.setattr(sys, "argv", words)
     module: Any = script(other)

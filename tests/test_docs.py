@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import programs
 import pytest
 import test_readme
 from docutils import nodes
@@ -171,7 +172,7 @@ def test_the_command_of_a_result_names_its_runs():
     command = results_data.campaign("ia2c", "lbf-8x8-2p-2f-c", "independent", changed, 1)
     plan, dashes, flags = command.partition(" -- ")
     words = [sys.executable, *shlex.split(f"{plan} --dry-run{dashes}{flags}")[1:]]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    done = programs.run(words, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "ia2c" in done.stdout + done.stderr
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import subprocess
 import sys
 import tracemalloc
 from functools import partial
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import programs
 import pytest
 import torch
 from scripts import ROOT, load_module, script, trained
@@ -456,7 +456,7 @@ def test_what_is_wrong_is_named(broken: type[VectorEnv], sentence: str) -> None:
 )
 @pytest.mark.slow
 def test_the_program(flags: list[str], code: int, says: str) -> None:
-    done = subprocess.run([sys.executable, "-m", "envs", "check", *flags], capture_output=True, text=True)
+    done = programs.run([sys.executable, "-m", "envs", "check", *flags])
     assert done.returncode == code and says in done.stdout + done.stderr, done.stderr
 
 

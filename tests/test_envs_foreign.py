@@ -17,6 +17,7 @@ from unittest.mock import ANY
 import gymnasium
 import lbforaging  # noqa: F401 (registers its environments)
 import numpy as np
+import programs
 import pytest
 import rware  # noqa: F401 (registers its environments)
 import torch
@@ -703,9 +704,7 @@ def test_killed_and_resumed_through_an_adapter(monkeypatch: pytest.MonkeyPatch, 
     with monkeypatch.context() as patch:
         patch.setattr(signal, "signal", lambda number, handler: None)
         script("ippo").train(parse("ippo", [*flags, "--run-dir", str(tmp_path / "whole")]))
-    process = subprocess.Popen(
-        command("ippo", *flags, "--env-workers", 2, "--run-dir", tmp_path / "run"), stderr=subprocess.DEVNULL
-    )
+    process = programs.start(command("ippo", *flags, "--env-workers", 2, "--run-dir", tmp_path / "run"))
     table = tmp_path / "run" / "evaluations.csv"
     while not table.exists() or len(table.read_text().splitlines()) < 5:
         assert process.poll() is None
@@ -723,7 +722,7 @@ def test_a_run_whose_environment_hangs_can_be_stopped(tmp_path: Path) -> None:
     """By a second SIGTERM; the first one says so, and the workers end as well."""
     flags = ["--env", "pettingzoo:toy_broken", "--env-kwargs", "how='hangs'", "--env-workers", 2]
     flags += ["--individual-rewards", "--no-parameter-sharing", "--total-timesteps", 100, "--run-dir", tmp_path / "run"]
-    with subprocess.Popen(command("ippo", *flags), stderr=subprocess.PIPE, text=True) as process:
+    with programs.start(command("ippo", *flags)) as process:
         assert process.stderr is not None
         assert "This run is kept in" in process.stderr.readline()
         time.sleep(1)
@@ -892,7 +891,7 @@ def test_the_table_of_tasks() -> None:
     """It takes the flags that its sentences name."""
 
     def table(*words: str) -> Any:
-        return subprocess.run([sys.executable, "-m", "envs", *words], capture_output=True, text=True, cwd=ROOT)
+        return programs.run([sys.executable, "-m", "envs", *words], cwd=ROOT)
 
     done = table(SPREAD, PURSUIT, "--flatten-images")
     assert done.returncode == 0 and SPREAD in done.stdout and PURSUIT in done.stdout

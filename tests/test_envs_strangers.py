@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import programs
 import pytest
 import strangers
 import torch
@@ -60,7 +61,7 @@ def command(name: str, game: str, *flags: object) -> list[str]:
 
 
 def run(name: str, game: str, *flags: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(name, game, *flags), capture_output=True, text=True, timeout=120)
+    return programs.run(command(name, game, *flags), timeout=120)
 
 
 def play(game: str, steps: int = 1, num_envs: int = 1, **options: Any) -> envs.VectorEnv:
@@ -96,7 +97,7 @@ class TestClosing:
         file.unlink()
         done = run(name, "simulator", "--watch", tmp_path / "run")
         watched = [word for word in command(name, "simulator") if word not in SHORT]
-        done = subprocess.run([*watched, "--watch", tmp_path / "run"], capture_output=True, text=True, timeout=120)
+        done = programs.run([*watched, "--watch", tmp_path / "run"], timeout=120)
         assert done.returncode == 0 and "film: " in done.stdout and self.all_closed(file), done.stderr
 
     @pytest.mark.parametrize("workers", [0, 2])
@@ -111,7 +112,7 @@ class TestClosing:
 
     def test_after_a_signal(self, file: Path, tmp_path: Path) -> None:
         flags = ["--env-kwargs", f"file={str(file)!r}", "--total-timesteps", "10000000", "--run-dir", tmp_path / "run"]
-        with subprocess.Popen(command("ippo", "simulator", *flags), stderr=subprocess.PIPE, text=True) as process:
+        with programs.start(command("ippo", "simulator", *flags)) as process:
             assert process.stderr is not None
             while "step 0" not in process.stderr.readline():
                 assert process.poll() is None
@@ -153,7 +154,7 @@ class TestSettings:
     """Of the whole program: a game's hold while it plays, and ours outside."""
 
     @pytest.mark.parametrize("what", ["double", "no gradients", "folder", "raises"])
-    @pytest.mark.parametrize("workers", [0, 2])
+    @pytest.mark.parametrize("workers", [0, 1])
     def test_they_are_the_games_own(self, what: str, workers: int) -> None:
         before = Settings.now()
         env = play("settles", 3, 2, env_kwargs={"what": what}, env_workers=workers)
@@ -216,7 +217,7 @@ class TestEnds:
 
     def test_a_signal_that_a_game_takes_is_taken_back(self, tmp_path: Path) -> None:
         flags = ["--total-timesteps", 10**7, "--run-dir", tmp_path / "run"]
-        with subprocess.Popen(command("ippo", "deaf", *flags), stderr=subprocess.PIPE, text=True) as process:
+        with programs.start(command("ippo", "deaf", *flags)) as process:
             assert process.stderr is not None
             while "step 0" not in process.stderr.readline():
                 assert process.poll() is None
@@ -396,12 +397,12 @@ class TestSpaces:
         flags["messages"] = ["--env-kwargs", "msg_bits=1", "--max-episode-steps", "20"]
         program = [sys.executable, str(ROOT / "algos" / f"{name}.py")]
         start = [*program, "--env", task, *SHORT, *flags[what]]
-        done = subprocess.run(start, capture_output=True, text=True, cwd=tmp_path, timeout=200)
+        done = programs.run(start, cwd=tmp_path, timeout=200)
         assert done.returncode == 0, done.stderr
         found = next(tmp_path.glob("runs/*/*/seed0"))
         assert ("action-bins=2" in found.parent.name) == (what == "bins")
         watched = [*program, "--watch", str(found), "--env", task, "--eval-episodes", "2"]
-        assert subprocess.run(watched, capture_output=True, cwd=tmp_path, timeout=200).returncode == 0
+        assert programs.run(watched, cwd=tmp_path, timeout=200).returncode == 0
 
 
 class TestNames:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import programs
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -263,7 +264,7 @@ def test_any_text_is_a_task_or_a_clear_error(name: str) -> None:
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "envs", *arguments], capture_output=True, text=True)
+    return programs.run([sys.executable, "-m", "envs", *arguments])
 
 
 def test_the_command_line() -> None:

@@ -3,12 +3,12 @@
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import programs
 import pytest
 from scripts import ROOT, load_module
 
@@ -136,7 +136,7 @@ def blocks(number, language):
 def run(words, folder):
     """What a command says that must succeed."""
     words = [sys.executable if word == "python" else word for word in words]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    done = programs.run(words, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

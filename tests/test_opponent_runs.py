@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import programs
 import pytest
 from scripts import ROOT
 
@@ -25,7 +26,7 @@ def opponent(path: Path, seed: int) -> str:
 def run(folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "algos/ia2c.py"), "--env", "mpe-tag", "--total-timesteps", "500"]
     command += ["--eval-points", "2", "--eval-episodes", "3", *flags]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    return programs.run(command, cwd=folder)
 
 
 @pytest.mark.slow

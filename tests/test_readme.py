@@ -15,6 +15,7 @@ from functools import cache
 from pathlib import Path
 
 import pandas as pd
+import programs
 import pytest
 from scripts import NAMES, ROOT, script
 
@@ -33,7 +34,7 @@ def blocks(page):
 
 
 def run(*command, folder):
-    return subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=folder)
+    return programs.run([sys.executable, *command], cwd=folder)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -204,7 +205,7 @@ def test_the_small_comparison_runs_as_it_is_written(tmp_path):
     assert copy[0] == "cp"
     shutil.copy(tmp_path / copy[1], tmp_path / copy[2])
     for _, *command in (train, report):
-        done = run(*command, folder=tmp_path)
+        done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     told = (tmp_path / "my-report" / "RESULTS.md").read_text()
     assert "MINE" in told and "MAPPO" in told

@@ -6,13 +6,13 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import programs
 import pytest
 import torch
 from scripts import ROOT, script
@@ -27,14 +27,16 @@ SHORT = ["--env", "matrix-climbing", "--total-timesteps", "250", "--eval-points"
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def good(made_once: Callable[..., Path]) -> Path:
     """A run of MAPPO's, complete."""
-    place = tmp_path_factory.mktemp("good") / "run"
-    words = [sys.executable, str(ROOT / "algos/mappo.py"), *SHORT, "--hidden-dim", "8", "--run-dir", str(place)]
-    subprocess.run(words, check=True, capture_output=True)
-    (place / "lock").unlink()
-    (place / "checkpoint.previous.pt").unlink()
-    return place
+
+    def train(place: Path) -> None:
+        words = [sys.executable, ROOT / "algos/mappo.py", *SHORT, "--hidden-dim", "8", "--run-dir", place]
+        assert programs.run(words).returncode == 0
+        (place / "lock").unlink()
+        (place / "checkpoint.previous.pt").unlink()
+
+    return made_once("good-run", train)
 
 
 @pytest.fixture
@@ -261,13 +263,17 @@ def test_a_loaded_team_looks_at_what_it_is_given(gift: Path) -> None:
 
 
 @pytest.mark.slow
-def test_malformed_gifts(good: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("first", range(0, 200, 25))
+def test_malformed_gifts(good: Path, made_once: Callable[..., Path], tmp_path: Path, first: int) -> None:
     """Two hundred, by tests/fuzz.py, of three algorithms and two kinds of folders."""
-    shutil.copytree(good, tmp_path / "good" / "mappo")
-    shutil.copytree(ROOT / "benchmark/teams/matrix-climbing", tmp_path / "good" / "team")
-    place = tmp_path / "good" / "iql"
-    flags = ["--env", "lbf-5x5-2p-1f", *SHORT[2:], "--hidden-dim", "8", "--run-dir", str(place)]
-    subprocess.run([sys.executable, str(ROOT / "algos/iql.py"), *flags], check=True, capture_output=True)
-    words = [sys.executable, str(ROOT / "tests/fuzz.py"), str(tmp_path / "good"), str(tmp_path / "cases"), "0", "199"]
-    done = subprocess.run(words, capture_output=True, text=True)
+
+    def collect(folder: Path) -> None:
+        shutil.copytree(good, folder / "mappo")
+        shutil.copytree(ROOT / "benchmark/teams/matrix-climbing", folder / "team")
+        flags = ["--env", "lbf-5x5-2p-1f", *SHORT[2:], "--hidden-dim", "8", "--run-dir", folder / "iql"]
+        assert programs.run([sys.executable, ROOT / "algos/iql.py", *flags]).returncode == 0
+
+    folder = made_once("good-gifts", collect)
+    words = [sys.executable, ROOT / "tests/fuzz.py", folder, tmp_path / "cases", first, first + 24]
+    done = programs.run(words, timeout=600)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
