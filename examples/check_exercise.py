@@ -312,7 +312,7 @@ END_HINTS = (
 HINTS: dict[str, Hints] = {
     "loss": (
         "Print each part of the loss for one step: the values, the targets, and the numbers over which its mean goes.",
-        "Hold each part, also its shape, against the formula on the algorithm's page: docs/algorithms/{name}.md.",
+        "Hold each part, its shape and its masks against the formula on the algorithm's page: docs/algorithms/{name}.md.",
     ),
     "gradient": (
         "The loss before it agrees. So the number is right, and the way in which it depends on the networks is not.",
@@ -345,17 +345,32 @@ def in_words(case: str, found: Quantity, name: str) -> Finding:
     return Finding(f"{where}: {quantity} is {ours or 'never computed'}, and should be {theirs}.", hints)
 
 
-SIZES = (
-    f"of {N_AGENTS} agents, with {N_ACTIONS} actions and observations of {OBS_SIZE} values; a state is these "
-    f"{N_AGENTS * OBS_SIZE} values side by side, but in gru_shared it may have values of its own"
+NO_GRADIENT = (
+    "Follow the loss back, name by name, to the line in which that network is called.",
+    "On this way something is detached, or computed under no_grad. Which part of the loss may be, and which not?",
 )
+SHAPE_HINTS = (
+    "Print the shapes of what meets in this line, and write beside each what its axes are: time, episode, agent.",
+    "Which of the sizes in brackets does an axis have, and which should it have? An axis of length 1 fits any length.",
+)
+
+
+def sizes(recording: Recording) -> str:
+    """What a student has to know to read a shape."""
+    _, steps, episodes = recording.arrays["played"].shape
+    own = "with values of its own" if recording.separate_states else "the observations side by side"
+    return (
+        f" ({recording.case} has {steps} steps of {episodes} episodes with {N_AGENTS} agents, {N_ACTIONS} actions, "
+        f"observations of {OBS_SIZE} values and a state of {recording.state_size}, {own})"
+    )
 
 
 def shapes_in_words(error: str, where: str) -> str:
     """PyTorch's message on shapes that do not fit as a sentence; the message itself where it is another one."""
     if found := re.search(r"mat1 and mat2 shapes cannot be multiplied \(\d+x(\d+) and (\d+)x\d+\)", error):
         return f"a network that was built for {found[2]} inputs is given {found[1]}{where}"
-    if found := re.search(r"size of tensor a \((\d+)\) must match the size of tensor b \((\d+)\)", error):
+    pairs = r"size of (?:the )?tensor (?:a )?\((\d+)\) must match the (?:existing size|size of tensor b) \((\d+)\)"
+    if found := re.search(pairs, error):
         return f"two tensors do not fit, since one has {found[1]} and the other {found[2]} entries along an axis{where}"
     return error
 
@@ -365,19 +380,29 @@ def check(module: Any, name: str) -> Finding | None:
     if wrong := wrong_in_collect(module):
         return wrong
     for case in CASES:
-        with double_precision():
-            for found in replay(module, name, case):
-                if not found.agrees():
-                    return in_words(case, found, name)
+        try:
+            with double_precision():
+                for found in replay(module, name, case):
+                    if not found.agrees():
+                        return in_words(case, found, name)
+        except Exception as error:
+            error.add_note(sizes(Recording(name, case)))
+            raise
     return None
 
 
-def stops(path: Path, name: str, error: Exception) -> Finding:
+def stops(path: Path, error: Exception) -> Finding:
     """What an error of the student's file says, in a sentence."""
-    last = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    line = f", line {last[-1].lineno}" if last else ""
-    said = shapes_in_words(str(error), f" ({SIZES})")
-    return Finding(f"{path}{line} stops: {'' if said != str(error) else f'{type(error).__name__}: '}{said}")
+    if isinstance(error, AttributeError) and isinstance(error.obj, ModuleType):
+        return Finding(f"{path} has no `{error.name}`, which this check uses.")
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path.resolve()]
+    line = f", line {own[0].lineno} (`{own[0].line}`)," if own else ""  # in `update`, not in a network that it calls
+    if "does not require grad" in str(error):
+        return Finding(f"{path}{line} stops: the loss does not depend on the network that should learn.", NO_GRADIENT)
+    said = shapes_in_words(str(error), "".join(getattr(error, "__notes__", [])))
+    if said == str(error):
+        return Finding(f"{path}{line} stops: {type(error).__name__}: {said}")
+    return Finding(f"{path}{line} stops: {said}.", SHAPE_HINTS)
 
 
 def wrong_in_training(path: Path) -> Finding | None:
@@ -401,27 +426,39 @@ def wrong_in_training(path: Path) -> Finding | None:
 
 
 def wrong_in_gae(module: Any) -> Finding | None:
-    """What differs in `gae`, for gamma and lambda 1/2, after a time-out and after a real end."""
-    rewards = torch.tensor([1.0, 2.0, 3.0])[:, None, None].expand(-1, 2, 1)  # [time, env, 1]
-    values = torch.tensor([10.0, 20.0, 30.0, 40.0])[:, None, None].expand(-1, 2, 1)  # [time + 1, env, agent]
-    no_bootstrap = torch.tensor([[False, False], [False, False], [False, True]])  # [time, env]
-    found = module.gae(rewards, values, torch.ones(3, 2, dtype=torch.bool), no_bootstrap, 0.5, 0.5)
-    if found.shape != (3, 2, 1):
-        return Finding(f"gae: its shape is {[*found.shape]}, and should be [time, env, agent], here [3, 2, 1].")
-    for k, (end, expected) in enumerate(BY_HAND.items()):
-        if found[:, k, 0].tolist() != expected:
-            text = f"gae: after {end} the advantages are {found[:, k, 0].tolist()}, and should be {expected}."
-            return Finding(text, GAE_HINTS)
+    """What differs in `gae`, for gamma 1/2 and lambda 1/4, after each kind of end."""
+    n_ends = len(BY_HAND)
+    weights = torch.tensor([1.0, 0.0])  # a second agent, to whom no state is worth anything
+    rewards = torch.tensor([1.0, 2.0, 3.0])[:, None, None].expand(-1, n_ends, 1)  # [time, env, 1]
+    values = torch.tensor([10.0, 20.0, 30.0, 40.0])[:, None, None] * weights  # [time + 1, 1, agent]
+    values = values.expand(-1, n_ends, -1)  # [time + 1, env, agent]
+    played = torch.tensor([[True, True, True], [True, True, True], [True, True, False]])  # [time, env]
+    no_bootstrap = torch.tensor([[False, False, False], [False, False, False], [False, True, False]])
+    found = module.gae(rewards, values, played, no_bootstrap, 0.5, 0.25)
+    if found.shape != (3, n_ends, 2):
+        return Finding(f"gae: its shape is {[*found.shape]}, and should be [time, env, agent], here {[3, n_ends, 2]}.")
+    for k, (end, (expected, hints)) in enumerate(BY_HAND.items()):
+        ours = found[played[:, k], k, 0].tolist()
+        if ours != expected:
+            return Finding(f"gae: after {end} the advantages are {ours}, and should be {expected}.", hints)
     return None
 
 
 GAE = "mappo_yu"
 UPDATES_ARE_RIGHT = "collect is right, 5 updates in 4 cases are those of EPyMARL's {}"
-BY_HAND = {"a time-out": [-0.1875, -4.75, -7.0], "a real end": [-1.4375, -9.75, -27.0]}
 GAE_HINTS = (
     "Begin with the last step, where the estimate is one error: reward plus discounted next value minus value.",
     "An earlier one is its own error plus gamma times lambda times the one behind it. What is the value after an end?",
 )
+SHORTER_HINTS = (
+    "Another episode of the batch is longer by one step. So here the last row of the rewards is of no step.",
+    "What does your sum take from a row that was not played?",
+)
+BY_HAND = {  # the estimates of the played steps, and hints
+    "a time-out": ([0.515625, -3.875, -7.0], GAE_HINTS),
+    "a real end": ([0.203125, -6.375, -27.0], GAE_HINTS),
+    "a time-out one step earlier": ([0.625, -3.0], SHORTER_HINTS),
+}
 
 
 def load(path: Path) -> ModuleType:
@@ -452,7 +489,7 @@ def main() -> None:
     except InputError:
         raise
     except Exception as error:  # whatever a student's file does
-        found = stops(args.script, args.algorithm, error)
+        found = stops(args.script, error)
     if found:
         print(" ".join([found.what, *found.hints[: args.hint]]).strip())
         if args.hint == 0 and found.hints[0]:

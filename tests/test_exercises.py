@@ -4,6 +4,7 @@ import re
 import shlex
 import shutil
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def test_each_planted_fault_is_found(checked, tmp_path, monkeypatch, number):
         plant_fault.main()
 
 
-def test_what_differs_first_is_said(checked, tmp_path):
+def test_what_differs_first_is_said(checked, tmp_path, monkeypatch):
     path = tmp_path / "mine.py"
     unclipped = "torch.minimum(ratios * advantages, clipped * advantages)", "ratios * advantages"
     code, said = checked("mappo", changed(path, "mappo", unclipped))
@@ -85,12 +86,19 @@ def test_what_differs_first_is_said(checked, tmp_path):
     assert code == 1 and "stops: IndexError" in said
     summed = "unsqueeze(-1)).squeeze(-1)  # [time, env, agent]", "unsqueeze(-1)).squeeze(-1).sum(-1)"
     code, said = checked("vdn", changed(path, "iql", summed))
-    assert code == 1 and "two tensors do not fit, since one has 3 and the other 5 entries" in said
+    line = "`loss = played_mean((targets - values).square(), played)`"
+    assert code == 1 and f"({line}), stops: two tensors do not fit, since one has 3 and the other 5 entries" in said
+    assert "(fc_shared has 8 steps of 5 episodes with 3 agents" in said and said.endswith("says where to look.)\n")
+    monkeypatch.chdir(tmp_path)  # the page's commands have a file here
+    assert checked("vdn", Path("mine.py"))[1] == said.replace(str(path), "mine.py")
+    code, said = checked("iql", changed(path, "iql", ("(targets - values)", "(targets - values.detach())")))
+    assert code == 1 and "stops: the loss does not depend on the network that should learn." in said
     side_by_side = "critic_inputs = batch.observations", "critic_inputs = batch.observations.flatten(2).unsqueeze(2)"
     code, said = checked("maa2c", changed(path, "ia2c", side_by_side))
-    assert code == 1 and "a network that was built for 6 inputs is given 21 (of 3 agents" in said
+    assert code == 1 and "a network that was built for 6 inputs is given 21 (gru_shared has " in said
+    assert "(`target_values = target_critic(critic_inputs)[0]" in said and "a state of 6, with values of its own" in said
     code, said = checked("qmix", ROOT / "algos/vdn.py")
-    assert code == 1 and "has no attribute 'Mixer'" in said
+    assert code == 1 and said == f"{ROOT / 'algos/vdn.py'} has no `Mixer`, which this check uses.\n"
     code, said = checked("qmix", tmp_path / "nothing.py")
     assert code == 2 and said == f"check_exercise: {tmp_path / 'nothing.py'} is no Python file.\n"
 
@@ -110,9 +118,12 @@ def test_estimates_by_hand(checked, tmp_path, monkeypatch):
     path = tmp_path / "mine.py"
     for right, wrong, told in (
         ("", "", "gae is right, and it trains"),
-        (".masked_fill(no_bootstrap.unsqueeze(-1), 0.0)", "", "gae: after a real end the advantages are [-0.1875,"),
-        ("errors[t] + gamma * lam *", "errors[t] + gamma *", "gae: after a time-out the advantages are [-2"),
-        ("    return advantages[:-1]\n", "    return advantages\n", "gae: its shape is [4, 2, 1]"),
+        (".masked_fill(no_bootstrap.unsqueeze(-1), 0.0)", "", "gae: after a real end the advantages are [0.515625,"),
+        ("errors[t] + gamma * lam *", "errors[t] + gamma *", "gae: after a time-out the advantages are [-2.25,"),
+        ("rewards + gamma * next_values", "rewards + lam * next_values", "gae: after a time-out the advantages are "),
+        (".masked_fill(~played.unsqueeze(-1), 0.0)", "", "gae: after a time-out one step earlier the advantages are "),
+        ("return advantages[:-1]", "return advantages[:-1].mean(-1, keepdim=True)", "gae: its shape is [3, 3, 1]"),
+        ("    return advantages[:-1]\n", "    return advantages\n", "gae: its shape is [4, 3, 2]"),
     ):
         assert right == "" or text.count(right) == 1
         path.write_text(text.replace(right, wrong) if right else text, encoding="utf-8")
