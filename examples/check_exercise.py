@@ -312,7 +312,7 @@ END_HINTS = (
 HINTS: dict[str, Hints] = {
     "loss": (
         "Print each part of the loss for one step: the values, the targets, and the numbers over which its mean goes.",
-        "Hold each part, its shape and its masks against the formula on the algorithm's page: docs/algorithms/{name}.md.",
+        "Hold each part, its shape and its masks against the formula on its page, docs/algorithms/{name}.md.",
     ),
     "gradient": (
         "The loss before it agrees. So the number is right, and the way in which it depends on the networks is not.",

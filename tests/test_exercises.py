@@ -96,7 +96,7 @@ def test_what_differs_first_is_said(checked, tmp_path, monkeypatch):
     side_by_side = "critic_inputs = batch.observations", "critic_inputs = batch.observations.flatten(2).unsqueeze(2)"
     code, said = checked("maa2c", changed(path, "ia2c", side_by_side))
     assert code == 1 and "a network that was built for 6 inputs is given 21 (gru_shared has " in said
-    assert "(`target_values = target_critic(critic_inputs)[0]" in said and "a state of 6, with values of its own" in said
+    assert "(`target_values = target_critic(critic_inputs)[0]" in said and "a state of 6, with values of its" in said
     code, said = checked("qmix", ROOT / "algos/vdn.py")
     assert code == 1 and said == f"{ROOT / 'algos/vdn.py'} has no `Mixer`, which this check uses.\n"
     code, said = checked("qmix", tmp_path / "nothing.py")
