@@ -22,6 +22,7 @@ from typing import NamedTuple
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import benchmark  # isort: skip  # noqa: F401 (says which packages are missing, before one is imported)
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure

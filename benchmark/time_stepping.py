@@ -23,6 +23,7 @@ from typing import Any
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import benchmark  # isort: skip  # noqa: F401 (says which packages are missing, before one is imported)
 import gymnasium
 import numpy as np
 

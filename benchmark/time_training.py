@@ -27,6 +27,7 @@ from unittest import mock
 if not __package__:  # as a program, from any folder
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import benchmark  # isort: skip  # noqa: F401 (says which packages are missing, before one is imported)
 import envs
 from benchmark.plan import ALGOS, load_script, script_names
 from envs import runs

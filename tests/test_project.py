@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 from scripts import ROOT
@@ -39,10 +40,12 @@ def test_a_tag_that_is_not_the_version_makes_no_release(tag):
 
 def test_without_the_packages_a_program_says_what_to_type(tmp_path):
     """With -S Python finds nothing that was installed."""
-    for words in (["algos/mappo.py"], ["algos/iql.py", "--help"], ["-m", "envs"]):
+    benchmark = [[f"benchmark/{name}.py"] for name in PROGRAMS]
+    for words in (["algos/mappo.py"], ["algos/iql.py", "--help"], ["-m", "envs"], *benchmark, ["-m", "benchmark.run"]):
         done = subprocess.run([sys.executable, "-S", *words], cwd=ROOT, capture_output=True, text=True)
         assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
-        assert f"these packages are missing: {', '.join(needed.PACKAGES)}; python -m pip install -e" in done.stderr
+        said = f"these packages are missing: {', '.join(needed.PACKAGES)}; python -m pip install -e"
+        assert done.stderr.startswith(f"{words[-1] if words[0] == '-m' else Path(words[0]).stem}: {said}")
     names = [package.partition(">=")[0] for package in PROJECT["dependencies"]]
     assert [{"PIL": "pillow"}.get(package, package) for package in needed.PACKAGES] == names
 
