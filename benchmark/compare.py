@@ -131,7 +131,7 @@ class Comparison:
             samples = mine_averages, other_averages = self.averages(rows)
             for name, sample in zip(self.names, samples):
                 last = rows[(rows["algorithm"] == name) & (rows["point"] == rows["point"].max())]["return_mean"]
-                cells = (self.title(key), name, len(sample), with_interval(sample), with_interval(last))
+                cells = (self.title(key), name, len(sample), mean_in_words(sample), mean_in_words(last))
                 lines.append("| " + " | ".join(map(str, cells)) + " |")
             sides = [rows[rows["algorithm"] == name] for name in self.names]
             if identical(*sides):
@@ -178,7 +178,7 @@ class Comparison:
         return figure
 
 
-def with_interval(sample: pd.Series) -> str:
+def mean_in_words(sample: pd.Series) -> str:
     """A mean over seeds with the half width of its interval, where there are two seeds or more."""
     if len(sample) == 1:
         return f"{sample.mean():.3f}"

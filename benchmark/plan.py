@@ -69,7 +69,7 @@ script = functools.cache(load_script)  # the same module each time
 
 
 @dataclass(frozen=True)
-class PlannedRun(store.Run):
+class PlannedRun(store.BenchmarkRun):
     """One run of a script. flags: for the script, beyond task, seed and sharing."""
 
     flags: Flags

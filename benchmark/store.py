@@ -295,7 +295,7 @@ def trained(changed: dict[str, Any]) -> str:
 
 # --- one run ---
 @dataclass(frozen=True)
-class Run:
+class BenchmarkRun:
     """A run of a script, as the results know it.
 
     changed: the flags that differ from the paper's, by name, as its config.json has them. directory: where it is kept.
@@ -336,7 +336,7 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     return config, parse_text(content)
 
 
-def has(run: Run, results: Path) -> bool:
+def has(run: BenchmarkRun, results: Path) -> bool:
     """Whether the results hold this run. InputError for a damaged table, and where `check_script` raises it."""
     path = table_path(results, run.algorithm, run.task, run.sharing, run.changed)
     settings, _ = read_table(path)
@@ -358,7 +358,7 @@ def check_script(path: Path, algorithm: str, script: str | None, origins: Iterab
         )
 
 
-def condition(run: Run, results: Path) -> str:
+def condition(run: BenchmarkRun, results: Path) -> str:
     """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new".
 
     InputError where its table of the results is damaged, or its directory holds a damaged or another run.
@@ -382,7 +382,7 @@ def condition(run: Run, results: Path) -> str:
     return "complete"
 
 
-def bring_in(run: Run, results: Path) -> str:
+def bring_in(run: BenchmarkRun, results: Path) -> str:
     """The `condition` of a run after a complete one has been collected: "in the results", "begun" or "new".
 
     InputError as there, and where a complete run cannot be collected.

@@ -29,7 +29,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from envs import runs
 from envs.families import lbf, matrix
 from envs.runs import fast_mkl
-from envs.runs.process import project_version
+from envs.runs.origin import project_version
 
 SHORT = ["--env", "lbf-5x5-2p-1f", "--eval-points", "11", "--eval-episodes", "20", "--hidden-dim", "32"]
 SHORT += ["--reward-standardisation", "--network", "gru"]

@@ -92,7 +92,7 @@ def make_run(directory, seed=0, returns=(0.0, 10.5), budget=2_500_000, reached=N
 
 def run_of(directory, algorithm="mappo", seed=0, sharing="shared", changed=None, script=ROOT / "algos" / "mappo.py"):
     """The run as a campaign has planned it."""
-    return store.Run(algorithm, "matrix-climbing", sharing, seed, changed or {}, directory, script)
+    return store.BenchmarkRun(algorithm, "matrix-climbing", sharing, seed, changed or {}, directory, script)
 
 
 def table(folder, name="mappo-shared"):

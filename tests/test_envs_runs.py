@@ -618,23 +618,23 @@ class TestCommit:
 
         module = tmp_path / "envs" / "runs" / "process.py"
         module.parent.mkdir(parents=True)
-        monkeypatch.setattr(runs.process, "__file__", str(module))
+        monkeypatch.setattr(runs.origin, "__file__", str(module))
         for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
             monkeypatch.delenv(name, raising=False)
         monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-        assert runs.process._commit() is None
+        assert runs.origin._commit() is None
         git("init")
         module.write_text("1")
         git("add", "envs")
         git("commit", "-m", "first")
         git("tag", "a-tag")
-        assert runs.process._commit() == git("rev-parse", "HEAD")
+        assert runs.origin._commit() == git("rev-parse", "HEAD")
         module.write_text("2")
-        assert runs.process._commit() == git("rev-parse", "HEAD") + "-dirty"
+        assert runs.origin._commit() == git("rev-parse", "HEAD") + "-dirty"
         installed = tmp_path / "site-packages" / "envs" / "runs" / "process.py"  # in another project's checkout
         installed.parent.mkdir(parents=True)
-        monkeypatch.setattr(runs.process, "__file__", str(installed))
-        assert runs.process._commit() is None
+        monkeypatch.setattr(runs.origin, "__file__", str(installed))
+        assert runs.origin._commit() is None
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

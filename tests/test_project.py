@@ -16,7 +16,7 @@ from scripts import ROOT
 import benchmark
 import envs
 from envs import needed
-from envs.runs.process import project_version
+from envs.runs.origin import project_version
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 

@@ -9,7 +9,9 @@ A script calls what is here in one line each, so that a reader of an algorithm n
     directory    RunDirectory, read_checkpoint, fitting_checkpoint: what a run keeps on the disk
     replay       EpisodeFile
     log          Log: progress bar, TensorBoard, progress.json
-    process      StopSignals, one_sentence
+    process      StopSignals
+    origin       provenance: where a result comes from
+    terminal     one_sentence: how a program ends
 """
 
 # ruff: noqa: F401 (these are the names for the scripts)
@@ -57,20 +59,9 @@ from envs.runs.flags import (
 )
 from envs.runs.log import Log, in_words
 from envs.runs.memory import forgotten
-from envs.runs.process import (
-    KILLED,
-    Parser,
-    StopSignals,
-    Stopwatch,
-    ends_with_parent,
-    keep_freed_memory,
-    one_sentence,
-    open_streams,
-    provenance,
-    say,
-    script_hash,
-    with_flags,
-)
+from envs.runs.origin import provenance, script_hash
+from envs.runs.process import StopSignals, Stopwatch, ends_with_parent, keep_freed_memory
 from envs.runs.replay import EpisodeFile
 from envs.runs.run import Run, evaluate, main, own_generator, watch
+from envs.runs.terminal import KILLED, Parser, one_sentence, open_streams, say, with_flags
 from envs.runs.valid import is_whole

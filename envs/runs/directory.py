@@ -22,7 +22,9 @@ import filelock
 
 from envs.runs.checkpoints import check_checkpoint, check_counters
 from envs.runs.flags import MAY_CHANGE, NOT_IN_DIRECTORY, as_flag, changed_flags, named_flags
-from envs.runs.process import Stopwatch, project_version, provenance, say, script_hash
+from envs.runs.origin import project_version, provenance, script_hash
+from envs.runs.process import Stopwatch
+from envs.runs.terminal import say
 from envs.runs.valid import Invalid, is_whole
 from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError

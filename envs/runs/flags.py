@@ -22,7 +22,7 @@ import psutil
 import tyro
 
 import envs
-from envs.runs.process import flush_stdout
+from envs.runs.terminal import flush_stdout
 from envs.runs.valid import read_json
 from envs.vector import RESULT_COLUMNS, InputError
 

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from envs import optional
 from envs.runs.directory import write_whole
-from envs.runs.process import Diverged, say
+from envs.runs.terminal import Diverged, say
 from envs.vector import InputError
 
 PROGRESS_SECONDS = 2.0  # between two writes of progress.json

@@ -13,7 +13,7 @@ import psutil
 from numpy.typing import NDArray
 
 from envs.runs.directory import naming
-from envs.runs.process import say
+from envs.runs.terminal import say
 from envs.vector import InputError
 
 

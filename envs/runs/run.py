@@ -20,8 +20,9 @@ from envs.runs.checkpoints import check_distance
 from envs.runs.directory import RunDirectory, fitting_checkpoint, last_checkpoint, read_checkpoint, write_episodes
 from envs.runs.flags import OF_THE_TASK, given_flags, make_for, parse_flags
 from envs.runs.log import Log, in_words
-from envs.runs.process import StopSignals, keep_freed_memory, one_sentence, show
+from envs.runs.process import StopSignals, keep_freed_memory
 from envs.runs.replay import EpisodeFile
+from envs.runs.terminal import one_sentence, show
 from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 
