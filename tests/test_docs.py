@@ -73,6 +73,7 @@ def test_what_is_folded_has_the_text_of_an_earlier_page_and_no_remark():
     assert folded["gradient_step"] == "ia2c" and folded["update"] is None and folded["counterfactual_inputs"] is None
     texts = {name: (DOCS / "algorithms" / f"{name}.md").read_text(encoding="utf-8") for name in ("coma", "ia2c")}
     page = algorithm_pages.page("coma", texts["coma"])
+    assert "docs/algorithms/coma.md" not in page and "[Unlike EPyMARL](#unlike-epymarl)" in page
     assert "{dropdown} `gradient_step`" in page and "#### `update`" in page and "{dropdown} `update`" not in page
     assert "{dropdown}" not in algorithm_pages.page("ia2c", texts["ia2c"])
 
@@ -187,6 +188,14 @@ def test_films_are_small_enough():
     films = {film.name: film.stat().st_size for film in (DOCS / "films").glob("*.webp")}
     assert films and max(films.values()) < LARGEST_FILM
     assert sorted(films) == [film["film"] for film in environment_pages.films()]
+
+
+def test_no_film_is_enlarged():
+    """Else it would be blurred."""
+    for film in environment_pages.films():
+        env = envs.make(film["task"], 1, pictures=True)
+        env.reset()
+        assert int(film["width"]) <= env.frame(index=0).shape[1]
 
 
 def test_a_docstring_becomes_markdown():

@@ -33,7 +33,7 @@ def write_webp(gif: Path, path: Path) -> tuple[int, int]:
             durations.append(frame.info.get("duration", 200))
             if len(frames) == FRAMES:
                 break
-    for width in WIDTHS:
+    for width in [min(width, frames[0].width) for width in WIDTHS]:  # an enlarged picture is blurred
         height = round(frames[0].height * width / frames[0].width)
         small = [frame.resize((width, height), Image.Resampling.LANCZOS) for frame in frames]
         small[0].save(path, save_all=True, append_images=small[1:], duration=durations, loop=0, quality=70, method=4)

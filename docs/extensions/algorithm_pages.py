@@ -156,6 +156,7 @@ def idea(known: script.Script, remarks: Remarks) -> str:
         if plain_text.escape(plain) not in text:
             raise ValueError(f"the docstring of algos/{known.name}.py does not contain {plain!r}")
         text = text.replace(plain_text.escape(plain), latex)
+    text = text.replace(f"docs/algorithms/{known.name}.md", "[Unlike EPyMARL](#unlike-epymarl)")  # that is this page
     prose = NO_PROSE.split(text)  # every second part is code, a formula or an address
     prose[::2] = [SYMBOL.sub(r"$\1$", part).replace("$gamma", r"$\gamma") for part in prose[::2]]
     text = "".join(prose)
