@@ -351,7 +351,7 @@ NO_GRADIENT = (
 )
 SHAPE_HINTS = (
     "Print the shapes of what meets in this line, and write beside each what its axes are: time, episode, agent.",
-    "Which of the sizes in brackets does an axis have, and which should it have? An axis of length 1 fits any length.",
+    "Which size does each axis have, and which one should it have? An axis of length 1 fits any length.",
 )
 
 

@@ -140,6 +140,8 @@ def test_symbols_of_the_formulas_are_mathematics_in_prose_too():
     assert (
         "copy of the critic $V$, so" in prose and "follow every step of $V$." in prose and " A critic, needed" in prose
     )
+    page = algorithm_pages.page("maddpg", (DOCS / "algorithms" / "maddpg.md").read_text(encoding="utf-8"))
+    assert r"and $\mu'$ takes the likeliest action" in page
 
 
 @pytest.mark.parametrize("name", script.ALGORITHMS)
@@ -550,8 +552,8 @@ def until(condition, seconds=20):
 
 
 def complaints(browser):
-    """Errors of the console, and requests that did not stay in the folder."""
-    errors = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    """What the console says, and requests that did not stay in the folder."""
+    errors = [entry["message"] for entry in browser.get_log("browser")]
     for entry in browser.get_log("performance"):
         message = json.loads(entry["message"])["message"]
         if message["method"] == "Network.requestWillBeSent":
@@ -577,6 +579,19 @@ def test_every_page_loads_without_error_and_without_the_network(site, browser):
         visit(browser, file)
         assert until(lambda: browser.execute_script(ALL_DRAWN)), f"charts of {file.name} are not drawn"
         assert complaints(browser) == [], file
+
+
+@pytest.mark.slow
+def test_a_logarithmic_axis_has_labels(site, browser):
+    """The divergence of a healthy run is near 0.003, and that of a sick one near 1."""
+    visit(browser, site / "algorithms/ippo.html")
+    labels = (
+        "const charts = [...document.querySelectorAll('figure.chart')];"
+        "const chart = charts.find((x) => /approximate_kl/.test(x.textContent));"
+        "chart.scrollIntoView();"
+        "return [...chart.querySelectorAll('.role-axis-label text')].map((x) => x.textContent)"
+    )
+    assert until(lambda: {"0", "0.01", "0.1", "1"} <= {*browser.execute_script(labels)})
 
 
 @pytest.mark.slow

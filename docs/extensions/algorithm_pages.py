@@ -32,7 +32,7 @@ SHARINGS = {"shared": "With parameter sharing", "independent": "Without paramete
 STEPS = "In eight lines"  # the section with the algorithm as pseudocode
 # Symbols of the formulas where a docstring names them in prose. A alone may be an article.
 SYMBOL = re.compile(
-    r"(?<![\w'-])([rGHVQec]'?|A(?= the\s+advantage)|gamma\^k|[nkt](?=,|\s+(?:steps|rewards|\\<=)))(?![\w'-]|\.\w)"
+    r"(?<![\w'-])([rGHVQec]'?|mu'|A(?= the\s+advantage)|gamma\^k|[nkt](?=,|\s+(?:steps|rewards|\\<=)))(?![\w'-]|\.\w)"
 )
 NO_PROSE = re.compile(r"(```.*?```|`[^`]*`|\$[^$]*\$|\]\([^)]*\))", re.DOTALL)
 RUNS = pd.read_csv(DATA / "runs.csv", keep_default_na=False)  # recorded ones
@@ -158,7 +158,7 @@ def idea(known: script.Script, remarks: Remarks) -> str:
         text = text.replace(plain_text.escape(plain), latex)
     text = text.replace(f"docs/algorithms/{known.name}.md", "[Unlike EPyMARL](#unlike-epymarl)")  # that is this page
     prose = NO_PROSE.split(text)  # every second part is code, a formula or an address
-    prose[::2] = [SYMBOL.sub(r"$\1$", part).replace("$gamma", r"$\gamma") for part in prose[::2]]
+    prose[::2] = [re.sub(r"\$(gamma|mu)", r"$\\\1", SYMBOL.sub(r"$\1$", part)) for part in prose[::2]]
     text = "".join(prose)
     blocks = re.split(r"\n*```text\n(.*?)\n```\n*", text, flags=re.DOTALL)
     before, after = blocks[0], "\n\n".join(blocks[2::2])

@@ -35,12 +35,25 @@
       document.head.append(script);
     }));
 
+  // Where a symmetric logarithmic axis is labelled: at 0 and at about four powers of ten on each side that has values.
+  const powersOfTen = (values, constant) => {
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const first = Math.ceil(Math.log10(constant));
+    const last = Math.floor(Math.log10(Math.max(-low, high)));
+    const labels = [0];
+    for (let power = last; power >= first; power -= Math.ceil((last - first + 1) / 4)) labels.push(10 ** power, -(10 ** power));
+    return labels.filter((label) => label === 0 || (low <= label && label <= high)); // the axis always has 0
+  };
+
   // The whole specification of a chart, from its kind and its data.
   const filled = (chart) => {
     const specification = structuredClone(window.chartKinds[chart.kind]);
     if (chart.kind === "scalar") {
-      if (chart.constant) specification.encoding.y.scale = { type: "symlog", constant: chart.constant };
       const points = Object.entries(chart.runs).flatMap(([r, { t, v }]) => t.map((step, k) => ({ r, t: step, v: v[k] })));
+      if (chart.constant) {
+        specification.encoding.y.scale = { type: "symlog", constant: chart.constant };
+        specification.encoding.y.axis.values = powersOfTen(points.map(({ v }) => v), chart.constant);
+      }
       return { ...specification, datasets: { scalar: points } };
     }
     const [lowest, highest] = [chart.bounds[0] ?? -Infinity, chart.bounds[1] ?? Infinity];
@@ -48,6 +61,7 @@
     const curves = chart.curves.flatMap(({ a, n, t, m, i }) =>
       t.map((step, k) => ({ a, n, t: step, m: m[k], ...(i && band(m[k], i[k])) })),
     );
+    if (chart.paper.length === 0) specification.layer.splice(2, 1); // the paper's rules
     if (!chart.curves.some(({ i }) => i)) {
       specification.layer.shift(); // one seed each: there are no intervals
       for (const { encoding } of specification.layer) {
