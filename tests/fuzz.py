@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "algos")]
 
 import torch  # noqa: E402
+import torch._dynamo  # noqa: E402 (the first optimiser of a process imports it, for 1.7 seconds)
 
 import envs.runs  # noqa: E402
 

@@ -47,8 +47,8 @@ class Line(ParallelEnv):
     def step(self, actions: dict[str, Any]) -> Any:
         self.steps += 1
         seen, rewards = self.seen(), {agent: self.paid(action) for agent, action in actions.items()}
-        flags = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, self.steps == 5)
-        if self.steps == 5:
+        flags = dict.fromkeys(self.agents, False), dict.fromkeys(self.agents, self.steps == self.max_cycles)
+        if self.steps == self.max_cycles:
             self.agents = []
         return seen, rewards, *flags, self.infos()
 
@@ -240,3 +240,52 @@ class Odd(Line):
     def infos(self) -> dict[str, Any]:
         numbers = {"timestep": 7, "info_timestep": 8, "return": 9, "commit": 1, "": 5, "won": True, "a,b": 2}
         return dict.fromkeys(self.possible_agents, numbers if self.what == "infos" else {})
+
+
+class Varied(Line):
+    """Differs from most games in one thing, named by its argument."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        self.what, self.count = what, 0
+        self.possible_agents = [f"a{i}" for i in range({"one agent": 1, "fifty agents": 50}.get(what, 4))]
+        self.max_cycles = 1 if what == "one step" else 5
+        self.buffer = np.zeros((4, 12))
+
+    def observation_space(self, agent: str) -> Any:
+        if self.what == "no observation":
+            return spaces.Box(0, 1, (0,), np.float32)
+        if self.what == "starts at 1":
+            return spaces.MultiDiscrete([5, 4], start=[1, 1])
+        return spaces.Box(-9, 9, (3,), np.float64)
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Discrete({"one action": 1, "many actions": 2_000}.get(self.what, 2))
+
+    def seen(self) -> dict[str, Any]:
+        if self.what == "no observation":
+            return {agent: np.zeros(0, np.float32) for agent in self.agents}
+        if self.what == "starts at 1":
+            return {agent: np.array([1 + self.steps % 5, 1 + i]) for i, agent in enumerate(self.agents)}
+        self.buffer[:] = np.arange(12) / 6 + self.steps / 10  # written again in every step
+        kinds = [self.buffer[0, 2::-1], self.buffer[1, ::4], self.buffer[2, :3].astype(">f4"), self.buffer[3, :3]]
+        if self.what == "no number at last" and self.count == 100:
+            kinds[0] = np.full(3, np.nan)
+        return {agent: kinds[i % 4] for i, agent in enumerate(self.agents)}
+
+    def paid(self, action: Any) -> Any:
+        return float(action == 1) * (1e9 if self.what == "large rewards" else 1)
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        if self.what == "forks" and self.count == 0:
+            child = os.fork()
+            if not child:
+                os._exit(0)
+            os.waitpid(child, 0)
+        return super().reset(seed)
+
+    def step(self, actions: dict[str, Any]) -> Any:
+        self.count += 1
+        if self.what == "prints":
+            print("step", self.steps)
+        return super().step(actions)

@@ -1128,6 +1128,20 @@ class TestRay:
         assert campaign(monkeypatch, "--ray", nodes[0].address, "--seeds", 1) == 1
         assert "OSError: No space left on device" in capsys.readouterr().out
 
+    @pytest.mark.parametrize("taken", ["lock", "folder"])
+    def test_names_that_somebody_else_has_taken(self, monkeypatch, tmp_path, taken):
+        """In the temporary folder of a node that several people use."""
+        from benchmark import cluster
+
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        name = f"{cluster.RUN_FOLDERS}{os.getuid()}"
+        (tmp_path / "theirs").mkdir()
+        (tmp_path / "theirs" / "file").touch()
+        (tmp_path / (f"{name}.lock" if taken == "lock" else f"{name}-x")).symlink_to("theirs")
+        folder, lock = cluster.make_folder()
+        lock.release()
+        assert folder.parent == tmp_path and {path.name for path in (tmp_path / "theirs").iterdir()} == {"file"}
+
     # Not "auto": it would find the cluster of another test that runs at the same time.
     @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
     def test_no_cluster(self, monkeypatch, capsys, address):

@@ -678,10 +678,17 @@ def test_too_little_memory_ends_in_one_sentence(capsys: Any) -> None:
         raise RuntimeError("something else")
 
 
-@pytest.mark.parametrize(("flush", "code", "said"), [(False, 0, ""), (True, 2, "x: [Errno 32] Broken pipe\n")])
-def test_a_reader_that_has_seen_enough(flush: bool, code: int, said: str) -> None:
-    """As `python algos/mappo.py --watch ... | head -1`; Python's own flush at the end would complain."""
-    program = f"from envs import runs\nwith runs.one_sentence('x.py'):\n    print(1, flush={flush})"
+@pytest.mark.parametrize(
+    ("writes", "code", "said"),
+    [
+        ("print(1)", 0, ""),
+        ("print(1, flush=True)", 2, "x: [Errno 32] Broken pipe\n"),
+        ("runs.terminal.show('a'); runs.terminal.show('b'); print('c', file=sys.stderr)", 0, "c\n"),
+    ],
+)
+def test_a_reader_that_has_seen_enough(writes: str, code: int, said: str) -> None:
+    """As `python algos/mappo.py --watch ... | head -1`, which shows its lines; Python's own flush would complain."""
+    program = f"import sys\nfrom envs import runs\nwith runs.one_sentence('x.py'):\n    {writes}"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     ours, theirs = os.pipe()
     os.close(ours)
@@ -690,6 +697,13 @@ def test_a_reader_that_has_seen_enough(flush: bool, code: int, said: str) -> Non
     )
     os.close(theirs)
     assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_a_terminal_that_cannot_show_a_name() -> None:
+    program = "from envs import runs\nwith runs.one_sentence('x.py'):\n    print('\\xe4')"
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "\\xe4\n", "")
 
 
 def test_what_the_system_puts_into_a_folder_does_not_matter(tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ import strangers
 import torch
 from gymnasium import spaces
 from scripts import ROOT
+from scripts import main as script_main
 
-import envs
+import envs.__main__
 from envs.adapters.observations import flattened
 from envs.check import hints, problems
 from envs.settings import Settings
@@ -31,7 +32,7 @@ SHORT = ["--total-timesteps", "20", "--eval-points", "2", "--eval-episodes", "2"
 def games(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Modules with a parallel_env, in a folder that is the current one."""
     folder = tmp_path_factory.mktemp("games")
-    for name in "Simulator Settles Exits Masked Sees Codes Continuous Odd".split():
+    for name in "Simulator Settles Exits Masked Sees Codes Continuous Odd Varied".split():
         (folder / f"{name.lower()}.py").write_text(
             f"import sys\nsys.path.append({str(ROOT / 'tests')!r})\nfrom strangers import {name} as parallel_env\n"
         )
@@ -387,22 +388,106 @@ class TestSpaces:
         assert env.choices == (10, 10)
         env.step(np.array([[3, 9]]))
 
-    @pytest.mark.slow
+
+SPREAD, WAREHOUSE = "pettingzoo:mpe2.simple_spread_v3", "gymnasium:rware:rware-tiny-2ag-v2"
+WHOLE: list[tuple[str, str, list[str]]] = [  # games, their arguments and flags
+    *(("varied", f"what={what!r}", []) for what in ("one agent", "fifty agents", "one step", "one action")),
+    *(("varied", f"what={what!r}", []) for what in ("many actions", "large rewards", "no observation", "starts at 1")),
+    *(("varied", f"what={what!r}", []) for what in ("prints", "forks")),
+    *(("settles", f"what={what!r}", []) for what in ("double", "no gradients", "folder", "raises")),
+    *(("odd", f"what={what!r}", []) for what in ("items", "state", "text", "infos")),
+    ("masked", "mask=([0, 1], [1, 0, 1]), nvec=[2, 3]", []),
+    ("codes", "", ["--flatten-images", "--no-divide-images"]),
+    ("sees", "kind='nested', value={'place': [0], 'target': [3]}", []),
+]
+REFUSED = [
+    ("varied", "what='no number at last'", "is not a finite number"),
+    ("masked", "mask=[0.0, -1e9]", "must have 1 for what is allowed and 0 for what is not"),
+    ("exits", "", "with SystemExit"),
+    ("sees", "kind='multi', value=[3, -1]", "does not fit its space"),
+]
+
+
+@pytest.mark.slow
+class TestWholeRuns:
+    """Short ones, in this process."""
+
+    def run(self, monkeypatch: pytest.MonkeyPatch, name: str, *flags: object) -> object:
+        """The exit code."""
+        monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, flags)])
+        try:
+            script_main(name)
+        except SystemExit as end:
+            return end.code
+        return 0
+
+    @pytest.mark.parametrize("how", ["check", "ippo", "iql"])
+    @pytest.mark.parametrize("game, kwargs, flags", WHOLE)
+    def test_what_is_odd(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: Any,
+        tmp_path: Path,
+        game: str,
+        kwargs: str,
+        flags: list[str],
+        how: str,
+    ) -> None:
+        """The contract is kept, and a run comes to its end; that of IQL with worker processes."""
+        words = [f"pettingzoo:{game}", "--env-kwargs", kwargs, *flags]
+        if how == "check":
+            assert envs.__main__.main(["check", *words]) == 0, capsys.readouterr().out
+            return
+        workers = 2 if how == "iql" else 0
+        place = ["--run-dir", tmp_path / "run", "--env-workers", workers]
+        code = self.run(monkeypatch, how, "--env", *words, *SHORT, "--total-timesteps", 500, *place)
+        assert code == 0 and len((tmp_path / "run/evaluations.csv").read_text().splitlines()) == 3
+
+    @pytest.mark.parametrize("name, workers", [("ippo", 0), ("ippo", 2), ("iql", 0), ("iql", 2)])
+    @pytest.mark.parametrize("game, kwargs, said", REFUSED)
+    def test_what_cannot_be_played(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: Any,
+        tmp_path: Path,
+        game: str,
+        kwargs: str,
+        said: str,
+        name: str,
+        workers: int,
+    ) -> None:
+        """One sentence and 2."""
+        words = ["--env", f"pettingzoo:{game}", "--env-kwargs", kwargs, *SHORT, "--total-timesteps", 2000]
+        place = ["--run-dir", tmp_path / "run", "--env-workers", workers]
+        assert self.run(monkeypatch, name, *words, *place) == 2
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last.startswith(f"{name}: pettingzoo:{game}: ") and said in last
+
     @pytest.mark.parametrize("name", ["ippo", "iql"])
-    @pytest.mark.parametrize("what", ["bins", "messages"])
-    def test_runs_say_that_actions_are_discretised(self, tmp_path: Path, name: str, what: str) -> None:
-        """In the name of the directory and in config.json; --watch keeps it."""
-        task = {"bins": "pettingzoo:mpe2.simple_spread_v3", "messages": "gymnasium:rware:rware-tiny-2ag-v2"}[what]
-        flags = {"bins": ["--env-kwargs", "N=2, continuous_actions=True", "--action-bins", "2"]}
-        flags["messages"] = ["--env-kwargs", "msg_bits=1", "--max-episode-steps", "20"]
-        program = [sys.executable, str(ROOT / "algos" / f"{name}.py")]
-        start = [*program, "--env", task, *SHORT, *flags[what]]
-        done = programs.run(start, cwd=tmp_path, timeout=200)
-        assert done.returncode == 0, done.stderr
+    @pytest.mark.parametrize(
+        "task, kwargs, flags",
+        [
+            (SPREAD, "N=2, continuous_actions=True", ["--action-bins", 2]),
+            (SPREAD, "N=2, continuous_actions=True", ["--action-bins", 3]),
+            (WAREHOUSE, "msg_bits=1", ["--max-episode-steps", 20]),
+        ],
+    )
+    def test_discretised_actions(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        tmp_path: Path,
+        name: str,
+        task: str,
+        kwargs: str,
+        flags: list[Any],
+    ) -> None:
+        """The name of the directory says how many values they have; --watch keeps them."""
+        monkeypatch.chdir(tmp_path)
+        words = ["--env", task, "--env-kwargs", kwargs, *SHORT, "--total-timesteps", 500, *flags]
+        assert self.run(monkeypatch, name, *words) == 0
         found = next(tmp_path.glob("runs/*/*/seed0"))
-        assert ("action-bins=2" in found.parent.name) == (what == "bins")
-        watched = [*program, "--watch", str(found), "--env", task, "--eval-episodes", "2"]
-        assert programs.run(watched, cwd=tmp_path, timeout=200).returncode == 0
+        assert (f"action-bins={flags[1]}" in found.parent.name) == (task == SPREAD)
+        assert self.run(monkeypatch, name, "--watch", found, "--env", task, "--eval-episodes", 2) == 0
 
 
 class TestNames:
