@@ -605,14 +605,15 @@ def test_formulas_are_typeset(site, browser):
         assert sizes and all(width > 20 and height > 8 for width, height in sizes)
 
 
-# What is cut at the right: code that is wider than its block, and tables and formulas that are wider than their window
-# and do not say so.
+# What is cut at the right: code that is wider than its block, tables and formulas that are wider than their window and
+# do not say so, and lists to choose from that reach beyond the window.
 CUT = """
 const wide = (x) => x.clientWidth > 0 && x.scrollWidth > x.clientWidth + 1;
 const says = (x) => x.closest(".scrolls") && getComputedStyle(x.closest(".scrolls"), "::before").content !== "none";
 return [
   ...[...document.querySelectorAll("pre")].filter((x) => wide(x) || wide(x.parentElement)),
   ...[...document.querySelectorAll("table, .formula")].filter((x) => (wide(x) || wide(x.parentElement)) && !says(x)),
+  ...[...document.querySelectorAll("select")].filter((x) => x.getBoundingClientRect().right > innerWidth),
 ].map((x) => x.outerHTML.slice(0, 80));
 """
 # The least contrast of code with what is behind it, as WCAG 2 counts it, over all colours of the page's code.
