@@ -63,16 +63,16 @@ def test_claims(value, half_width, said):
 
 @pytest.mark.parametrize("level", [0.05, 0.05 / 40])
 def test_a_difference_is_found_as_often_as_is_said(level):
-    """Over 2,000 pairs of samples whose means differ by what the deviation 1 lets one find."""
+    """Over 700 pairs of samples whose means differ by what the deviation 1 lets one find."""
     rng, found, told = np.random.default_rng(0), 0, []
     typical = pd.Series([-1.0, 0.0, 1.0])  # of deviation 1
     detectable = compare.difference(typical, typical, level).detectable
-    for _ in range(2000):
+    for _ in range(700):
         mine, other = pd.Series(rng.normal(detectable, 1, 3)), pd.Series(rng.normal(0, 1, 3))
         one = compare.difference(mine, other, level)
         found += abs(one.value) > one.half_width
         told.append(one.detectable / one.half_width)
-    assert found / 2000 == pytest.approx(compare.POWER, abs=0.03)
+    assert found / 700 == pytest.approx(compare.POWER, abs=0.03)
     assert np.ptp(told) < 1e-6 and min(told) > 1
 
 
