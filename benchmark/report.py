@@ -194,7 +194,7 @@ class Report:
         least = there.groupby(["task", "sharing"]).min()
         number = sum(least.get(row, 0) < self.planned[row] for row in rows)
         of_rows = f" {number} of the {len(rows)} rows with several planned seeds are not complete yet"
-        return f"{of_rows}, so the second one is, too." if number else ""
+        return f"{of_rows}, so the second figure is too good, too." if number else ""
 
     def agreement_table(self) -> str:
         """How many of our values agree with the paper's, by family and sharing; and the test's false alarms."""

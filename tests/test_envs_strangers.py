@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -494,14 +495,22 @@ class TestNames:
     def test_a_game_with_a_package_envs(self) -> None:
         assert "the name `envs` is this project's, so a package of the game needs another one" in refusal("namesake")
 
-    def test_a_folder_envs_where_a_program_starts(self, tmp_path: Path) -> None:
-        """Ours is found first where theirs is no package."""
+    @pytest.mark.skipif(not list(distributions(name="marl-baselines")), reason="of an installation (pip install -e .)")
+    @pytest.mark.parametrize("init", [True, False])
+    def test_a_folder_envs_where_a_program_starts(self, tmp_path: Path, init: bool) -> None:
+        """An installation finds our `envs.runs` also where their `envs` comes first, and that says what is wrong."""
         (tmp_path / "envs").mkdir()
+        if init:
+            (tmp_path / "envs" / "__init__.py").touch()
         script = tmp_path / "mine.py"
         script.write_text((ROOT / "algos" / "ippo.py").read_text())
         for words in (["-m", "envs", "check", "matrix-climbing"], [str(script), "--help"]):
             done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
-            assert done.returncode == 0, done.stderr
+            if not init:  # ours is found first, since PYTHONPATH names it
+                assert done.returncode == 0
+                continue
+            assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+            assert "takes the place of this project's package envs: rename it, or start elsewhere." in done.stderr
 
 
 def test_many_environments_take_no_memory_before_they_play() -> None:
