@@ -29,7 +29,7 @@ import pandas as pd
 import envs
 from benchmark import store
 from benchmark.measures import our_cells
-from envs.runs import Parser, one_sentence, read_checkpoint, renewed_config, safe_name, write_whole
+from envs.runs import Parser, one_sentence, read_checkpoint, safe_name, write_whole
 
 TEAMS = store.HERE / "teams"
 OF_A_MACHINE = ("command", "machine")  # what config.json says of no use elsewhere
@@ -61,7 +61,7 @@ def keep_team(directory: Path, returns: pd.Series, teams: Path = TEAMS) -> Path 
     returns: `last_returns`. Gives the team's place, None where it was not kept. InputError where the run has no
     checkpoint that can be read.
     """
-    config = renewed_config(json.loads((directory / "config.json").read_text(encoding="utf-8")))
+    config = json.loads((directory / "config.json").read_text(encoding="utf-8"))
     flags, algorithm = config["flags"], config["algorithm"]
     task, place = flags["env"], teams / safe_name(flags["env"])
     usual = not config["changed"] and flags["parameter_sharing"] and flags["seed"] == 0

@@ -123,7 +123,7 @@ def table_path(results: Path, algorithm: str, task: str, sharing: str, changed: 
 
 # --- reading ---
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
-    """The settings of a run or of a table, in the words of this version. InputError where a part is missing or of
+    """The settings of a run or of a table. InputError where a part is missing or of
     another type than in PARTS.
 
     more: further parts and their types.
@@ -137,7 +137,7 @@ def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
     found = said["flags"] | said
     if wrong := [name for name, kind in (PARTS | more).items() if not isinstance(found.get(name), kind)]:
         raise InputError(f"{file} is damaged, or of an older version: what it says of {', '.join(wrong)} is not valid")
-    return runs.renewed_config(said)
+    return said
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -130,14 +130,17 @@ def test_wrong_input_ends_in_one_sentence(monkeypatch, capsys, tmp_path):
     assert "there are no results in" in said and not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
-def test_the_pages_way(tmp_path):
-    """A copy of the repository in which the page's commands are run, in its second comparison with a tenth of the
-    steps."""
+def pages_way(tmp_path):
+    """Copies the repository, so that commands run there; what the page says of small and of large comparisons."""
     for folder in ("algos", "benchmark"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "teams", "figures"))
-    text = (ROOT / "docs/how-to/compare-mine.md").read_text()
-    small, large = text.split("## At the paper's size")
+    return (ROOT / "docs/how-to/compare-mine.md").read_text().split("## At the paper's size")
+
+
+@pytest.mark.nightly
+def test_the_pages_way(tmp_path):
+    """The page's trainings and what may be claimed, in its second comparison with a tenth of the steps."""
+    small, _ = pages_way(tmp_path)
     claims = "You may claim: on matrix-climbing,", "No difference may be claimed on lbf-5x5-2p-1f,"
     for part, expected in zip(small.split("## A difference that may")[1:], claims):
         copy, train, show = commands(part)
@@ -154,7 +157,12 @@ def test_the_pages_way(tmp_path):
         assert page.count("| 3 | ") == 2
         with Image.open(tmp_path / show[-1] / "curves.png") as image:
             assert image.width > 500
-    # The committed results in the place of the baseline's runs.
+
+
+@pytest.mark.slow
+def test_the_pages_way_at_the_papers_size(tmp_path):
+    """With the committed results in the place of runs of hours."""
+    _, large = pages_way(tmp_path)
     _, train, show = commands(large)  # the first is a dry run
     (task,) = {word for words in (train, show) for word in words if word.startswith("lbf-")}
     settings = RESULTS / task / "vdn-shared.json"  # in the place of mine's runs of hours

@@ -171,7 +171,7 @@ def at_the_end(folder, figure):
     return pd.Series([value for step, value in points if step > 0.9 * points[-1][0]]).mean()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", range(1, 1 + len(plant_fault.FAULTS)))
 def test_curves_show_each_planted_fault(tmp_path, number):
     """By one seed of each. The task has three."""
@@ -233,7 +233,10 @@ def test_what_grows_with_the_number_of_agents():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, expected", [("qmix", 8), ("vdn", 7), ("iql", 7)])
+@pytest.mark.parametrize(
+    "name, expected",
+    [("qmix", 8), *(pytest.param(name, 7, marks=pytest.mark.nightly) for name in ("vdn", "iql"))],
+)
 def test_qmix_solves_the_two_step_game(tmp_path, name, expected):
     words = commands(6)[name != "qmix"]
     folder = tmp_path / "run"

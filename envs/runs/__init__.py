@@ -37,7 +37,6 @@ from envs.runs.directory import (
     place_arrived,
     put,
     read_checkpoint,
-    renewed_config,
     run_path,
     safe_name,
     write_episodes,

@@ -182,7 +182,7 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
             damaged.append(path.name)
             continue
         try:
-            saved = renewed(torch.load(path, map_location="cpu", weights_only=True))
+            saved = torch.load(path, map_location="cpu", weights_only=True)
             check_checkpoint(saved, path.stat().st_size)
         except Exception:  # torch.load raises almost anything on a damaged file
             damaged.append(path.name)
@@ -193,31 +193,6 @@ def last_checkpoint(directory: str | os.PathLike[str]) -> dict[str, Any] | None:
     if damaged in ([], ["checkpoint.new.pt"]) and not Path(directory, "evaluations.csv").exists():
         return None  # the very first one has not been written, or not to its end
     raise InputError(f"{directory}: no checkpoint of ours can be read ({', '.join(damaged) or 'they are gone'}).")
-
-
-def renewed(saved: dict[str, Any]) -> dict[str, Any]:
-    """A checkpoint of an older version, as this one writes it."""
-    if "sizes" in saved:
-        saved["network"] = saved.pop("sizes")
-    names = {"first_weights": "W1", "first_bias": "b1", "last_weights": "w2", "last_bias": "b2"}  # of QMIX's mixer
-    for part in {"mixer", "target_mixer"} & saved.get("parts", {}).keys():
-        weights = {key.partition("."): x for key, x in saved["parts"][part].items()}
-        saved["parts"][part] = {f"{names.get(name, name)}.{rest}": x for (name, _, rest), x in weights.items()}
-    return saved | {"config": renewed_config(saved["config"])}
-
-
-def renewed_config(config: dict[str, Any]) -> dict[str, Any]:
-    """What config.json, a checkpoint or a table of results says of an older version's run, in the words of this one."""
-    switch = {"none": False, "batch": True}  # "running", which no setting of the paper has, stays what it was
-    renewed = dict(config)
-    for part in ("flags", "changed"):
-        flags = dict(config[part])
-        if (method := flags.get("reward_standardisation")) in switch:
-            flags["reward_standardisation"] = switch[method]
-        if config["algorithm"] in ("coma", "vdn", "qmix"):
-            flags.pop("individual_rewards", None)  # was a flag that could only be off
-        renewed[part] = flags
-    return renewed
 
 
 @contextlib.contextmanager
