@@ -38,8 +38,7 @@ class Task:
     eval_points: the number of evaluations in a run, including the one before training.
     module, settings: the module whose `Env` plays the task, and keyword arguments for it.
     options: further keyword arguments that a user may give, as `env_kwargs`.
-    returns: between which bounds the team's return of an episode lies; infinite where the rules set none that is near
-        to what can be reached.
+    returns: bounds of the team's return of an episode; infinite where the rules set none near to what can be reached.
     """
 
     name: str

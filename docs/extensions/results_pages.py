@@ -89,6 +89,7 @@ class Directive(SphinxDirective):
     def table(self, metric: str, shared: str) -> str:
         """One of the paper's tables in HTML, sortable by each column; nothing where we have no result for it."""
         cells = results_data.cells(metric)
+        cells = cells[~cells["task"].map(results_data.store.has_older_rules).astype(bool)]
         cells = cells[cells["sharing"] == shared].rename(columns={"mean": "value"})
         known = {(cell.task, cell.algorithm): cell for cell in cells.itertuples()}
         rows = []
@@ -198,7 +199,7 @@ class SeedsMap(Directive):
                     attributes = f'class="seeds" data-seeds="{min(seeds, 5)}" title="{html.escape(title)}"'
                     halves += f"<span {attributes}>{content}</span>"
                 columns.append(f"<td>{halves}</td>")
-            rows.append(f'<tr><th scope="row">{task_name(task)}</th>{"".join(columns)}</tr>')
+            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
         head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
         measured = int((last.reindex([key for key in last.index if key[0] in results_data.paper_tasks()]) > 0).sum())
         text = (
