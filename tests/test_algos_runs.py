@@ -630,30 +630,6 @@ class TestWrongInput:
 
 
 # --- using what was trained ---
-@pytest.mark.parametrize("name", ["mappo", "coma", "qmix"])
-@pytest.mark.parametrize("method, standardises", [("none", False), ("batch", True)])
-def test_a_checkpoint_of_an_older_version(monkeypatch, capsys, tmp_path, name, method, standardises):
-    """It named networks and some weights otherwise, said how rewards are standardised, and kept a part for it."""
-    flag = "--reward-standardisation" if standardises else "--no-reward-standardisation"
-    flags = [*short(name), flag, "--total-timesteps", 2000, "--eval-points", 3, "--run-dir", tmp_path, "--resume"]
-    stop_after(monkeypatch, capsys, name, tmp_path, 3, flags=flags[:-3])
-    saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    saved["sizes"] = saved.pop("network")
-    saved["config"]["flags"]["individual_rewards"] = False
-    saved["config"]["flags"]["reward_standardisation"] = method
-    saved["config"]["changed"]["reward_standardisation"] = method
-    del saved["config"]["flags"]["greedy"], saved["config"]["flags"]["start_from"]
-    saved["parts"]["standardiser"] = {"seen": torch.zeros(3, dtype=torch.float64)}
-    older = {"W1": "first_weights", "b1": "first_bias", "w2": "last_weights", "b2": "last_bias"}
-    for part in {"mixer", "target_mixer"} & saved["parts"].keys():
-        renamed = {older[key[:2]] + key[2:]: x for key, x in saved["parts"][part].items()}
-        saved["parts"][part] = renamed
-    torch.save(saved, tmp_path / "checkpoint.pt")
-    assert script(name).load(tmp_path).args.reward_standardisation is standardises
-    assert main(monkeypatch, capsys, name, *flags)[0] == 0
-    assert json.loads((tmp_path / "config.json").read_text())["flags"]["reward_standardisation"] is standardises
-
-
 def test_a_third_way_of_standardising_is_told_when_a_run_goes_on(mappo_run, monkeypatch, capsys, tmp_path):
     """It is no more; such a team still plays."""
     flags, directory = mappo_run

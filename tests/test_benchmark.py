@@ -127,19 +127,6 @@ def test_seeds_come_together_and_stay(run, tmp_path):
     }
 
 
-@pytest.mark.parametrize("word, switch", [("batch", True), ("none", False)])
-@pytest.mark.parametrize("changed", [{}, {"reward_standardisation": ...}])
-def test_older_runs_named_how_rewards_are_standardised(tmp_path, word, switch, changed):
-    """Their tables are those of runs of this version, and hold seeds of both."""
-    for value, seed, folder in ((word, 0, "older"), (switch, 0, "newer"), (word, 1, "newer"), (switch, 1, "older")):
-        run_flags = {"changed": dict.fromkeys(changed, value), "reward_standardisation": value}
-        path = store.collect(make_run(tmp_path / f"{folder}{seed}", seed, **run_flags), tmp_path / folder)
-    older, newer = (sorted((tmp_path / folder).rglob("mappo*")) for folder in ("older", "newer"))
-    assert [file.name for file in older] == [file.name for file in newer]
-    assert [file.read_text() for file in older] == [file.read_text() for file in newer]
-    assert json.loads(path.with_suffix(".json").read_text())["flags"]["reward_standardisation"] is switch
-
-
 def test_the_same_run_twice_changes_nothing(tmp_path):
     directory = make_run(tmp_path / "run")
     path = store.collect(directory, tmp_path / "results")
