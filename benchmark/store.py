@@ -123,8 +123,7 @@ def table_path(results: Path, algorithm: str, task: str, sharing: str, changed: 
 
 # --- reading ---
 def read_json(file: Path, more: dict[str, type]) -> dict[str, Any]:
-    """The settings of a run or of a table. InputError where a part is missing or of
-    another type than in PARTS.
+    """The settings of a run or of a table. InputError where a part is missing or of another type than in PARTS.
 
     more: further parts and their types.
     """

@@ -199,7 +199,8 @@ class SeedsMap(Directive):
                     attributes = f'class="seeds" data-seeds="{min(seeds, 5)}" title="{html.escape(title)}"'
                     halves += f"<span {attributes}>{content}</span>"
                 columns.append(f"<td>{halves}</td>")
-            rows.append(f'<tr><th scope="row"><code>{html.escape(task)}</code></th>{"".join(columns)}</tr>')
+            name = f"<code>{html.escape(task)}</code>{html.escape(results_data.against(task))}"
+            rows.append(f'<tr><th scope="row">{name}</th>{"".join(columns)}</tr>')
         head = "".join(f'<th scope="col">{name.upper()}</th>' for name in algorithms())
         measured = int((last.reindex([key for key in last.index if key[0] in results_data.paper_tasks()]) > 0).sum())
         text = (
