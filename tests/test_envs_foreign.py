@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -865,6 +867,19 @@ def test_what_a_trained_team_is_given(name: str, sharing: bool, what: str, said:
     np.testing.assert_array_equal(team.act(observations, info).shape, (4, 3))
     team.reset()
     team.act(observations[:2], {"action_mask": info["action_mask"][:2]})
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda team: pickle.loads(pickle.dumps(team))])
+def test_a_copied_team_remembers_by_itself(duplicate: Any) -> None:
+    env = envs.make("lbf-8x8-2p-2f", 2)
+    observations, info = env.reset()
+    network = (env.n_agents, env.obs_size, env.n_actions, "gru")
+    team = runs.careful(untrained_team("iql", env), {"network": network})
+    team.act(observations, info)
+    before = team.hidden[0].clone()
+    other = duplicate(team)
+    other.act(observations, info)
+    assert torch.equal(team.hidden[0], before) and not torch.equal(other.hidden[0], before)
 
 
 def test_wrong_input_ends_with_code_2(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

@@ -23,29 +23,34 @@ def careful(team: SomeTeam, saved: Mapping[str, Any]) -> SomeTeam:
     action is the best one. A training does without this: its environment keeps to a contract.
     saved: the checkpoint that it comes from.
     """
-    n_agents, obs_size, n_actions = saved["network"][:3]
-    act = team.act
+    vars(team)["act"] = CarefulAct(team, *saved["network"][:3])
+    return team
 
-    def act_carefully(observations: NDArray[np.float32], info: dict[str, Any]) -> NDArray[np.int64]:
+
+class CarefulAct:
+    """What a loaded team has in the place of its class's `act`. An object, so that copies of a team have their own."""
+
+    def __init__(self, team: Team, n_agents: int, obs_size: int, n_actions: int) -> None:
+        self.team, self.n_agents, self.obs_size, self.n_actions = team, n_agents, obs_size, n_actions
+
+    def __call__(self, observations: NDArray[np.float32], info: dict[str, Any]) -> NDArray[np.int64]:
+        """Actions, [env, agent]; see `Team.act` of the script. InputError where they would mean nothing."""
         mask: Any = info.get("action_mask") if isinstance(info, dict) else None
-        seen = shape("observations", observations, n_agents, obs_size)
-        allowed = shape('info["action_mask"]', mask, n_agents, n_actions)
+        seen = shape("observations", observations, self.n_agents, self.obs_size)
+        allowed = shape('info["action_mask"]', mask, self.n_agents, self.n_actions)
         if seen[0] != allowed[0]:
             raise InputError(f"The team is given observations of {seen[0]} environments and masks of {allowed[0]}.")
         if not np.isfinite(observations).all():
             raise InputError("The team is given observations that are no finite numbers.")
         if not (mask == mask.astype(bool)).all() or not mask.any(axis=2).all():
             raise InputError('info["action_mask"] must have 1 for what is allowed and 0 for what is not, and some 1.')
-        remembered = sum(len(x[0]) for x in getattr(team, "hidden", None) or [] if x is not None)
-        if remembered not in (0, seen[0] * n_agents):
+        remembered = sum(len(x[0]) for x in getattr(self.team, "hidden", None) or [] if x is not None)
+        if remembered not in (0, seen[0] * self.n_agents):
             raise InputError(
-                f"The team has begun to play {remembered // n_agents} environments, and is given {seen[0]}; "
+                f"The team has begun to play {remembered // self.n_agents} environments, and is given {seen[0]}; "
                 "reset() begins anew."
             )
-        return act(observations, info)
-
-    vars(team)["act"] = act_carefully
-    return team
+        return type(self.team).act(self.team, observations, info)
 
 
 def shape(name: str, array: Any, *sizes: int) -> tuple[int, ...]:
