@@ -142,8 +142,12 @@ class View:
 
     def cell(self, key: Key) -> Cell:
         """A cell; one of NaN where there is none."""
-        value, interval, seeds = self.cells.get(key, (np.full(1, np.nan), np.full(1, np.nan), PAPER_SEEDS))
-        return Cell(np.broadcast_to(value, self.draws), np.broadcast_to(interval, self.draws), seeds)
+        return self.cells.get(key, self.nothing)
+
+    @functools.cached_property
+    def nothing(self) -> Cell:
+        """A cell that was not measured."""
+        return Cell(np.full(self.draws, np.nan), np.full(self.draws, np.nan), PAPER_SEEDS)
 
     def tie(self, task: str) -> float:
         """How far two returns may differ and be a tie; 0 in a family."""
@@ -177,7 +181,9 @@ def completed(view: View, paper: View) -> View:
         if seeds > 1:
             squares += (seeds - 1) * (interval * np.sqrt(seeds) / 2) ** 2
         cells[key] = Cell(whole, 2 * np.sqrt(squares / (PAPER_SEEDS - 1) / PAPER_SEEDS), PAPER_SEEDS)
-    return replace(view, cells=view.cells | cells, draws=DRAWS)
+    for key, (value, interval, seeds) in view.cells.items():
+        cells.setdefault(key, Cell(np.broadcast_to(value, DRAWS), np.broadcast_to(interval, DRAWS), seeds))
+    return replace(view, cells=cells, draws=DRAWS)
 
 
 @functools.cache
@@ -242,10 +248,9 @@ class Scope:
 
     def like_the_highest(self, algorithm: str, names: tuple[str, ...]) -> Array:
         """Whether it is not significantly different from the highest of these."""
-        own = self.cell(algorithm)
-        different = np.stack([self.different(own, self.cell(name)) for name in names])
-        highest = self.values(names).argmax(axis=0)
-        return ~np.take_along_axis(different, highest[None], axis=0)[0]
+        own, highest = self.cell(algorithm), self.values(names).argmax(axis=0)
+        alike = [~self.different(own, self.cell(names[k])) & (highest == k) for k in np.unique(highest)]
+        return np.any(alike, axis=0)
 
     def sharing_means(self) -> Array:
         """[sharing, draw]: the means of the normalised values with and without sharing; normalised over both. Tasks on

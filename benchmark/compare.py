@@ -28,7 +28,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from scipy.optimize import brentq
-from scipy.stats import chi2, norm, t
+from scipy.stats import nct, t
 
 import envs
 from benchmark import plots
@@ -58,10 +58,8 @@ def difference(mine: pd.Series, other: pd.Series, level: float) -> Difference:
     squares = ((mine - mine.mean()) ** 2).sum() + ((other - other.mean()) ** 2).sum()
     error = np.sqrt(squares / freedom * (1 / len(mine) + 1 / len(other)))
     quantile = t.ppf(1 - level / 2, freedom)
-    # A true difference of x standard errors is found if x + z is above the quantile times the estimated error, which is
-    # the true one times `scale`. The mean over the distribution of this scale:
-    scale = np.sqrt(chi2.ppf(np.arange(0.5, 2000) / 2000, freedom) / freedom)
-    needed = brentq(lambda x: norm.cdf(x - quantile * scale).mean() - POWER, 0, quantile * scale[-1] + 10)
+    # Where the true difference is x standard errors, the test's value has the noncentral t distribution of x
+    needed = brentq(lambda x: nct.sf(quantile, freedom, x) - POWER, 0, 10 * quantile)
     return Difference(value, float(quantile * error), float(needed * error))
 
 

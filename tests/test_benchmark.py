@@ -477,6 +477,7 @@ class TestKills:
         assert old != new and len(found) > 6
         assert found == [old] * found.count(old) + [new] * found.count(new) and found[-1] == new
 
+    @pytest.mark.slow
     def test_a_killed_collector_loses_nothing_to_the_next_ones(self, collecting, tmp_path):
         """They collect another run, and may be killed, too: what was there, or what the first one brought, stays."""
         before, run, replace = collecting

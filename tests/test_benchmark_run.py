@@ -1046,6 +1046,7 @@ class TestRay:
         assert cluster.read_files(directory, 5) == {}
         assert sorted(cluster.read_files(directory, 100)) == ["checkpoint.pt", "replay.bin"]
 
+    @pytest.mark.slow
     @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
     @pytest.mark.parametrize(
         "there, comes",

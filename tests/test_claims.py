@@ -394,7 +394,8 @@ def test_cells_are_completed_with_the_papers_spread():
         assert drawn.value.mean() == pytest.approx(20, abs=4 * spread / np.sqrt(claims.DRAWS))
         assert drawn.value.std() == pytest.approx(spread * np.sqrt(1 / seeds - 1 / 5), rel=0.05)
     ours = claims.View({where: claims.Cell(np.array([20.0]), np.array([1.0]), 5)}, {})
-    assert claims.completed(ours, paper).cells == ours.cells
+    kept = claims.completed(ours, paper).cell(where)
+    assert (kept.value == 20).all() and (kept.interval == 1).all() and kept.seeds == 5
 
 
 def test_no_draw_is_beyond_the_games_bounds():

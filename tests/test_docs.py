@@ -830,6 +830,7 @@ def test_search_finds(site, browser, words, page):
     assert complaints(browser) == []
 
 
+@pytest.mark.slow
 def test_the_repository_is_linked_where_its_address_is_known(monkeypatch, tmp_path):
     """At any server. conf.py takes it from REPOSITORY_URL; without it no address is invented."""
     (tmp_path / "index.md").write_text("# A page\n\n```bash\ngit clone REPOSITORY_URL\n```\n", encoding="utf-8")

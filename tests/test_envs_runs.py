@@ -353,7 +353,7 @@ class TestKills:
         return path
 
     @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
-    @pytest.mark.parametrize("saves", [0, 1, 3])
+    @pytest.mark.parametrize("saves", [0, *(pytest.param(saves, marks=pytest.mark.slow) for saves in (1, 3))])
     def test_a_kill_leaves_the_last_checkpoint_or_the_new_one(self, saves: int, tmp_path: Path) -> None:
         before, path, found = self.before(tmp_path / "before", saves), tmp_path / "run", []
         for _ in killed_everywhere(before, path, lambda: self.go_on(path, saves)):

@@ -97,9 +97,8 @@ class TestClosing:
         assert done.returncode == 0 and self.all_closed(file), done.stderr
         assert done.stderr.splitlines()[-1].endswith(f"--watch {tmp_path / 'run'} --env pettingzoo:simulator")
         file.unlink()
-        done = run(name, "simulator", "--watch", tmp_path / "run")
         watched = [word for word in command(name, "simulator") if word not in SHORT]
-        done = programs.run([*watched, "--watch", tmp_path / "run"], timeout=120)
+        done = programs.run([*watched, "--eval-episodes", 2, "--watch", tmp_path / "run"], timeout=120)
         assert done.returncode == 0 and "film: " in done.stdout and self.all_closed(file), done.stderr
 
     @pytest.mark.parametrize("workers", [0, 2])
@@ -122,6 +121,7 @@ class TestClosing:
             process.communicate(timeout=60)
         assert process.returncode == 143 and self.all_closed(file)
 
+    @pytest.mark.slow
     def test_check(self, file: Path) -> None:
         def make(num_envs: int, seed: int, copy: bool) -> envs.VectorEnv:
             return envs.make("pettingzoo:simulator", num_envs, seed, copy, env_kwargs={"file": str(file)})
@@ -156,7 +156,7 @@ class TestSettings:
     """Of the whole program: a game's hold while it plays, and ours outside."""
 
     @pytest.mark.parametrize("what", ["double", "no gradients", "folder", "raises"])
-    @pytest.mark.parametrize("workers", [0, 1])
+    @pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
     def test_they_are_the_games_own(self, what: str, workers: int) -> None:
         before = Settings.now()
         env = play("settles", 3, 2, env_kwargs={"what": what}, env_workers=workers)

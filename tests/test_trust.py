@@ -74,7 +74,8 @@ def test_a_team_names_no_code(gift: Path, monkeypatch: pytest.MonkeyPatch, capsy
     monkeypatch.delitem(sys.modules, "evil", raising=False)
     code, said = mappo(monkeypatch, capsys, "--watch", gift)
     assert code == 2 and f"plays {name}, which is code of others; if you trust it, add --env {name}." in said
-    for flags in (["--watch", gift, "--env", "matrix-climbing"], [*SHORT, "--start-from", gift, "--run-dir", "run"]):
+    another = ["--watch", gift, "--env", "matrix-climbing", "--eval-episodes", 1]
+    for flags in (another, [*SHORT, "--start-from", gift, "--run-dir", "run"]):
         mappo(monkeypatch, capsys, *flags)
     assert not Path("ran").exists()
     assert mappo(monkeypatch, capsys, "--watch", gift, "--env", name)[0] == 2  # trusted: the module has no environment
@@ -84,7 +85,7 @@ def test_a_team_names_no_code(gift: Path, monkeypatch: pytest.MonkeyPatch, capsy
 @pytest.mark.parametrize("name", ["film.gif", "episodes.csv", "episodes.csv.new"])
 def test_watching_follows_no_links(gift: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, name: str) -> None:
     (gift / name).symlink_to("../victim")
-    assert mappo(monkeypatch, capsys, "--watch", gift, "--eval-episodes", 2)[0] == 0
+    assert mappo(monkeypatch, capsys, "--watch", gift, "--eval-episodes", 1)[0] == 0
     assert Path("victim").read_text() == "mine" and not (gift / name).is_symlink()
 
 
