@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from envs import needed  # isort: skip  # noqa: F401 (before whatever imports packages that may be missing)
 import importlib
-import inspect
 import numbers
 import os
 from collections.abc import Mapping
@@ -21,9 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from envs.adapters import as_gymnasium
-from envs.adapters.foreign import import_module, parse_kwargs
-from envs.settings import Settings
-from envs.tasks import Task, task, task_names
+from envs.adapters.foreign import parse_kwargs
+from envs.tasks import OPTIONS, Task, task, task_names
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 
 __all__ = [
@@ -43,15 +41,6 @@ if TYPE_CHECKING:
     from envs.adapters.as_pettingzoo import PettingZooEnv
 
 as_gymnasium.register()
-
-# What draws the families, by the modules of their rules
-PICTURES = {
-    "envs.families.matrix": "envs.pictures.matrix",
-    "envs.families.lbf": "envs.pictures.lbf",
-    "envs.families.rware": "envs.pictures.rware",
-    "envs.families.mpe": "envs.pictures.mpe",
-    "envs.families.smaclite.environment": "envs.pictures.smaclite",
-}
 
 
 def make(
@@ -86,65 +75,36 @@ def make(
     Raises InputError for an unknown or impossible name and for what does not fit into memory, ValueError for a num_envs
     or seed out of range.
     """
-    whole = {"max_episode_steps": max_episode_steps, "action_bins": action_bins, "env_workers": env_workers}
-    for option, value in whole.items():
-        if not isinstance(value, numbers.Integral) or value < 0:
+    asked: dict[str, Any] = {
+        "env_kwargs": parse_kwargs(env_kwargs) if isinstance(env_kwargs, str) else dict(env_kwargs),
+        "max_episode_steps": max_episode_steps,
+        "flatten_images": flatten_images,
+        "divide_images": divide_images,
+        "action_bins": action_bins,
+        "env_workers": env_workers,
+        "pictures": pictures,
+    }
+    for option in ("max_episode_steps", "action_bins", "env_workers"):
+        if not isinstance(value := asked[option], numbers.Integral) or value < 0:
             raise InputError(f"{option} is {value}; it must be a whole number from 0 on.")
     described = task(name)
-    options: dict[str, Any] = {}
-    if env_kwargs:
-        options["env_kwargs"] = parse_kwargs(env_kwargs) if isinstance(env_kwargs, str) else dict(env_kwargs)
-    if max_episode_steps:
-        options["max_episode_steps"] = max_episode_steps
-    if flatten_images:
-        options["flatten_images"] = True
-    if not divide_images:
-        options["divide_images"] = False
-    if action_bins:
-        options["action_bins"] = action_bins
-    if env_workers:
-        options["env_workers"] = env_workers
-
-    before = Settings.now()
-    if name.startswith("own:"):
-        module = import_module(name, described.module)
-        if not hasattr(module, "Env"):
-            raise InputError(f"{name}: the module {described.module} has no class Env.")
-        given = options.pop("env_kwargs", {})
-        try:
-            inspect.signature(module.Env).bind(name, num_envs, seed, copy, **given)
-        except TypeError as error:
-            raise InputError(f"{name}: {error}.") from None
-    else:
-        module = importlib.import_module(described.module)
-        given = {}
-        if options.get("env_kwargs", {}).keys() <= set(described.options):
-            given = options.pop("env_kwargs", {})
-    if name.startswith(("pettingzoo:", "gymnasium:")):
-        options["pictures"] = pictures
-    elif options:
-        option = next(iter(options))
-        if option == "env_kwargs" and described.options:
-            raise InputError(f"the only `env_kwargs` that {name} takes is {', '.join(described.options)}.")
-        others = ", or of your own" if option == "env_kwargs" else ""
-        raise InputError(
-            f"`{option}` is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules."
-        )
+    for option, usual in OPTIONS.items():
+        if asked[option] != usual and option not in (*described.takes, "pictures"):  # a wish
+            others = ", or of your own" if option == "env_kwargs" else ""
+            raise InputError(
+                f"`{option}` is for environments of PettingZoo and Gymnasium{others}; {name} has its own rules."
+            )
+    options = {option: asked[option] for option in described.takes}
+    if described.arguments:
+        options = options["env_kwargs"]
+        if options.keys() - set(described.arguments):
+            raise InputError(f"the only `env_kwargs` that {name} takes is {', '.join(described.arguments)}.")
+    module = importlib.import_module(described.module)
     try:
-        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options, **given)
+        env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options)
     except MemoryError:
         raise InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.") from None
-    finally:
-        if name.startswith("own:"):
-            changed = before.changed(after := Settings.now())
-            before.hold(after)
-    if name.startswith("own:"):
-        if "folder" in changed:
-            raise InputError(f"{name} changes the working directory, in which a run finds and keeps its files.")
-        env.checks_numbers = True
     check_memory(env)
-    if described.module in PICTURES:
-        env.can_draw, env.picture = True, PICTURES[described.module]
     return env
 
 
@@ -168,7 +128,7 @@ def named_kwargs(name: str, env_kwargs: str) -> str:
 
     Raises InputError where it is not the file of an opponent.
     """
-    if not env_kwargs or not task(name).options:
+    if not env_kwargs or not task(name).arguments:
         return env_kwargs
     from envs.families import mpe  # imports Numba
 

@@ -19,7 +19,7 @@ import difflib
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from envs.families import OPPONENTS, PLACES_TRIED
@@ -27,6 +27,17 @@ from envs.families.smaclite.maps import RULE_SETS
 from envs.vector import InputError
 
 UNBOUNDED = (-math.inf, math.inf)
+
+# The options of `envs.make`, as they are where nobody asks for anything else
+OPTIONS: dict[str, Any] = {
+    "env_kwargs": {},
+    "max_episode_steps": 0,
+    "flatten_images": False,
+    "divide_images": True,
+    "action_bins": 0,
+    "env_workers": 0,
+    "pictures": False,
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +48,8 @@ class Task:
     on_policy_timesteps, off_policy_timesteps: the paper's training budgets.
     eval_points: the number of evaluations in a run, including the one before training.
     module, settings: the module whose `Env` plays the task, and keyword arguments for it.
-    options: further keyword arguments that a user may give, as `env_kwargs`.
+    takes: the options of `envs.make` that it takes.
+    arguments: those that `env_kwargs` may have, where it takes them and its rules are ours.
     returns: bounds of the team's return of an episode; infinite where the rules set none near to what can be reached.
     """
 
@@ -48,7 +60,8 @@ class Task:
     eval_points: int
     module: str = field(repr=False)
     settings: Mapping[str, Any] = field(repr=False, hash=False)
-    options: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()
     returns: tuple[float, float] = UNBOUNDED
 
 
@@ -314,10 +327,10 @@ def parse_mpe(name: str) -> Task | None:
         )
     if selfplay:  # 25,000 episodes, in which the opponents were trained
         return Task(name, "mpe", 625_000, 625_000, 41, "envs.families.mpe", settings)
-    options = ("opponent",) if match[3] else ()
+    takes, arguments = (("env_kwargs",), ("opponent",)) if match[3] else ((), ())
     bounds = {"adversary": UNBOUNDED, "tag": (0.0, math.inf)}  # the others' rewards are minus distances
     returns = bounds.get(match[2] or match[3], (-math.inf, 0.0))
-    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings, options, returns)
+    return Task(name, "mpe", 20_000_000, 2_000_000, 41, "envs.families.mpe", settings, takes, arguments, returns)
 
 
 def parse_smac(name: str) -> Task | None:
@@ -358,14 +371,15 @@ def parse_foreign(name: str) -> Task | None:
     for package, known in KNOWN_PACKAGES.items():
         if re.search(rf"(?:^|[.:/])(?:{package})", match[2]):
             found = task(known)
-            return replace(found, name=name, module="envs.adapters.foreign", settings=settings, returns=UNBOUNDED)
-    return Task(name, "", *STEPS, "envs.adapters.foreign", settings)
+            budgets = found.on_policy_timesteps, found.off_policy_timesteps, found.eval_points
+            return Task(name, found.family, *budgets, "envs.adapters.foreign", settings, tuple(OPTIONS))
+    return Task(name, "", *STEPS, "envs.adapters.foreign", settings, tuple(OPTIONS))
 
 
 def parse_own(name: str) -> Task | None:
     """A user's module with a class `Env`."""
     match = re.fullmatch(r"own:([\w.]+)", name)
-    return Task(name, "", *STEPS, match[1], {}) if match else None
+    return Task(name, "", *STEPS, "envs.adapters.own", {"target": match[1]}, ("env_kwargs",)) if match else None
 
 
 PARSERS = (parse_matrix, parse_lbf, parse_rware, parse_mpe, parse_smac, parse_foreign, parse_own)

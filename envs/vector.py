@@ -154,7 +154,7 @@ class VectorEnv(GymnasiumVectorEnv):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012 (typed like this by Gymnasium)
     can_draw = False
-    picture = ""  # the module of `envs.pictures` that draws this family; `envs.make` sets it
+    picture = ""  # the module of `envs.pictures` that draws this family
     checks_numbers = False  # whether what is not a finite number is an error; so for all environments but our own
 
     def __init__(

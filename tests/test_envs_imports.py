@@ -30,7 +30,7 @@ ALLOWED = {
     "settings.py": (),
     "adapters": tuple(f"envs.{name}" for name in "adapters faults settings workers tasks vector make".split()),
     "check.py": ("envs.faults", "envs.settings", "envs.vector"),
-    "__init__.py": tuple(f"envs.{name}" for name in "needed adapters families settings tasks vector render".split()),
+    "__init__.py": tuple(f"envs.{name}" for name in "needed adapters families tasks vector render".split()),
     "runs": ("envs.runs", "envs.faults", "envs.tasks", "envs.vector", *FUNCTIONS),
 }
 

@@ -260,6 +260,8 @@ def step_all(arrays, numbers, action_mask, actions, playing):
 class Env(vector.VectorEnv):
     """Level-Based Foraging; see the module's docstring."""
 
+    can_draw, picture = True, "envs.pictures.lbf"
+
     def __init__(
         self,
         name: str,

@@ -75,6 +75,8 @@ def step_all(steps, agent_rewards, truncated, rewards, action_mask, payoff, acti
 class Env(vector.VectorEnv):
     """Matrix games; see the module's docstring."""
 
+    can_draw, picture = True, "envs.pictures.matrix"
+
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, payoffs: tuple[tuple[float, ...], ...]) -> None:
         """payoffs: the table, as many rows as columns."""
         size, steps = len(payoffs), EPISODE_LIMIT

@@ -620,6 +620,8 @@ MPE2: dict[str, Any] = {
 class Env(vector.VectorEnv):
     """The particle environments; see the module's docstring."""
 
+    can_draw, picture = True, "envs.pictures.mpe"
+
     def __init__(
         self,
         name: str,

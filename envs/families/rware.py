@@ -342,6 +342,8 @@ def step_all(arrays, numbers, action_mask, actions, playing):
 class Env(vector.VectorEnv):
     """The multi-robot warehouse; see the module's docstring."""
 
+    can_draw, picture = True, "envs.pictures.rware"
+
     def __init__(
         self,
         name: str,

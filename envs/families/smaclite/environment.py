@@ -14,6 +14,8 @@ from envs.families.smaclite.walking import EDGE, edges_near_cells, edges_of
 class Env(vector.VectorEnv):
     """A battle; see the package's docstring."""
 
+    can_draw, picture = True, "envs.pictures.smaclite"
+
     def __init__(self, name: str, num_envs: int, seed: int, copy: bool, *, map_name: str, rule_set: str) -> None:
         """map_name, rule_set: keys of the tables in `maps`."""
         rules, types, maps = RULE_SETS[rule_set]
