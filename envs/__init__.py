@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from envs.adapters import as_gymnasium
-from envs.adapters.foreign import parse_kwargs
+from envs.adapters.foreign import check_memory, parse_kwargs
 from envs.tasks import OPTIONS, Task, task, task_names
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 
@@ -104,23 +104,8 @@ def make(
         env: VectorEnv = module.Env(name, num_envs, seed, copy, **described.settings, **options)
     except MemoryError:
         raise InputError(f"{name} with num_envs={num_envs} does not fit into this machine's memory.") from None
-    check_memory(env)
+    check_memory(name, num_envs, sum(array.nbytes for array in vars(env).values() if isinstance(array, np.ndarray)))
     return env
-
-
-def check_memory(env: VectorEnv) -> None:
-    """Raises InputError where the arrays of an environment, of which nothing is written yet, are larger than the free
-    memory."""
-    room = sum(array.nbytes for array in vars(env).values() if isinstance(array, np.ndarray))
-    if room < 2**28:  # it takes a while to look at the memory
-        return
-    import psutil
-
-    if room > (free := psutil.virtual_memory().available):
-        raise InputError(
-            f"{env.name} with num_envs={env.num_envs:,} takes {room / 2**20:,.0f} MiB, more than the free memory "
-            f"({free / 2**20:,.0f})."
-        )
 
 
 def named_kwargs(name: str, env_kwargs: str) -> str:

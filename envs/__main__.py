@@ -19,6 +19,7 @@ import envs
 from envs import tasks
 from envs.check import hints, problems
 from envs.runs import Parser, check_flags, one_sentence, with_flags
+from envs.workers import closed_games
 
 HEADER = ("task", "agents", "observation", "state", "actions", "episode limit", "on-policy steps", "off-policy steps")
 
@@ -91,6 +92,6 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    with one_sentence("envs"):
+    with closed_games(), one_sentence("envs"):
         code = main(sys.argv[1:])
     sys.exit(code)

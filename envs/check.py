@@ -7,6 +7,7 @@ Episodes are compared while they are played, step by step, so that no episode is
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 import random
 import sys
@@ -47,33 +48,38 @@ def problems(make: Make, progress: Callable[[list[Check]], Iterable[Check]] = it
     progress: is given the list of checks and hands them out, such as a progress bar.
     Raises InputError for what cannot be built at all.
     """
+    try:
+        make(1, 0, True).close()
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        return [failure(error, "How it is built, and closed.")]
     found: list[str] = []
-    make(1, 0, True).close()
-    made: list[VectorEnv] = []
     before = Settings.now()
-
-    def made_here(num_envs: int, seed: int, copy: bool) -> VectorEnv:
-        made.append(make(num_envs, seed, copy))
-        return made[-1]
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `hints` shows them
         for check in progress([arrays, copies, ends, randomness, generators, settings, refusals, masked_resets]):
             try:
-                for sentence in check(made_here):
-                    if sentence not in found:
-                        found.append(sentence)
+                with contextlib.ExitStack() as made:
+                    for sentence in check(partial(to_be_closed, make, made)):
+                        if sentence not in found:
+                            found.append(sentence)
             except InputError as error:  # a sentence already
                 found.append(str(error))
-            except Exception as error:  # an assertion of the game, for example
+            except (Exception, SystemExit) as error:  # an assertion of the game, for example
                 found.append(failure(error, check.__doc__ or ""))
             finally:
-                while made:
-                    made.pop().close()
                 before.hold(Settings.now())  # for `settings`, which finds what changes them
             if found:  # what is wrong there would only come up again, and confuse
                 break
     return found
+
+
+def to_be_closed(make: Make, made: contextlib.ExitStack, num_envs: int, seed: int, copy: bool) -> VectorEnv:
+    """An environment that is closed at the end of `made`."""
+    env = make(num_envs, seed, copy)
+    made.callback(env.close)
+    return env
 
 
 def hints(make: Make) -> list[str]:
@@ -98,7 +104,7 @@ def hints(make: Make) -> list[str]:
     return found + [text for text in ours if env.name in text]
 
 
-def failure(error: Exception, topic: str) -> str:
+def failure(error: BaseException, topic: str) -> str:
     """A sentence about an error of the environment's own, met while a topic was looked at."""
     lines = in_words(error)
     if "worker process" in lines:  # with its traceback in the middle

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import traceback
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker, util
 from multiprocessing.connection import Connection
@@ -25,6 +26,7 @@ HANGS = 2.0  # seconds after which a game that does not return is no longer wait
 LOOK = 1.0  # seconds between two looks whether a worker that says nothing is still there
 PATIENCE = 8.0  # seconds that it then has to close
 
+NO_MAIN = ModuleType("__main__")  # see hidden_main
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -129,9 +131,9 @@ def close(games: list[Any]) -> None:
 
 @contextlib.contextmanager
 def hidden_main() -> Iterator[None]:
-    """A new process imports the main program again: a script, and with it PyTorch, which no game needs."""
+    """A new process would import the main program again: a script, and with it PyTorch, which no game needs."""
     main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
+    sys.modules["__main__"] = NO_MAIN
     try:
         yield
     finally:
@@ -152,6 +154,47 @@ def held_signals() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+OPEN: weakref.WeakSet[Games] = weakref.WeakSet()  # in this program
+
+
+@contextlib.contextmanager
+def closed_games() -> Iterator[None]:
+    """A whole program: at its end it closes its games, and what they leave behind does not keep it from its end.
+
+    Python waits for threads and processes, without a word and for ever.
+    """
+    before = {*threading.enumerate()}
+    code = 1
+    try:
+        yield
+        code = 0
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        raise
+    finally:
+        for games in [*OPEN]:
+            games.close()
+        if left_behind(before):
+            threading.Thread(target=wait_no_longer, args=(before, code), daemon=True).start()
+
+
+def left_behind(before: set[threading.Thread]) -> list[Any]:
+    """Processes, and threads that were not there before, for which Python would wait."""
+    threads: list[Any] = [each for each in threading.enumerate() if each not in before and not each.daemon]
+    return threads + [each for each in multiprocessing.active_children() if not each.daemon]
+
+
+def wait_no_longer(before: set[threading.Thread], code: int) -> None:
+    """Ends this program after some seconds, with its exit code, if it is still there."""
+    time.sleep(PATIENCE)
+    left = left_behind(before)
+    number = f"{len(left)} threads or processes, such as {left[0].name}"
+    print(f"Something that a game has started has not ended by itself: {number}.", file=sys.stderr)
+    for process in multiprocessing.active_children():
+        process.kill()
+    os._exit(code)
+
+
 class Games:
     """One game for each sub-environment. What they return does not depend on where they are played."""
 
@@ -161,6 +204,7 @@ class Games:
         Each worker plays a block of consecutive games, one after the other.
         """
         self.name = name
+        OPEN.add(self)
         self._here: list[Any] = []
         self._workers: list[Any] = []
         self._connections: list[Connection] = []

@@ -7,12 +7,15 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 import time
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
+
+from envs import workers
 
 
 class Line(ParallelEnv):
@@ -92,30 +95,38 @@ class Simulator(Line):
 
 
 class Settles(Line):
-    """Sets what a whole program shares, when it is built: `double`, `no gradients`, `folder`, `raises`."""
+    """Sets what a whole program shares when it is built, or in a step: `double`, `no gradients`, `folder`, `raises`."""
 
-    def __init__(self, what: str, render_mode: str | None = None) -> None:
+    def __init__(self, what: str, when: str = "built", render_mode: str | None = None) -> None:
         super().__init__(render_mode)
+        self.what, self.when, self.folder = what, when, tempfile.mkdtemp()
+        self.done = False
+        if when == "built":
+            self.set()
+
+    def set(self) -> None:
         import torch
 
-        self.what, self.folder = what, tempfile.mkdtemp()
+        self.done = True
         {
             "double": lambda: torch.set_default_dtype(torch.float64),
             "no gradients": lambda: torch.set_grad_enabled(False),
             "folder": lambda: os.chdir(self.folder),
             "raises": lambda: np.seterr(all="raise"),
-        }[what]()
+        }[self.what]()
 
     def step(self, actions: dict[str, Any]) -> Any:
         import torch
 
+        if self.steps == 2 and not self.done:
+            self.set()
         here = {
             "double": torch.get_default_dtype() == torch.float64,
             "no gradients": not torch.is_grad_enabled(),
             "folder": os.path.samefile(os.getcwd(), self.folder),
             "raises": np.geterr()["over"] == "raise",
         }
-        assert here[self.what]
+        assert here[self.what] == self.done
         return super().step(actions)
 
 
@@ -289,3 +300,60 @@ class Varied(Line):
         if self.what == "prints":
             print("step", self.steps)
         return super().step(actions)
+
+
+class Hands(Line):
+    """Hands on what nobody expects, named by its argument."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        self.what = what
+        if what == "same names":
+            self.possible_agents = ["a", "a"]
+        if what == "no close":
+            self.close = None
+        if what == "no metadata":
+            self.metadata = None  # type: ignore[assignment]
+
+    def action_space(self, agent: str) -> Any:
+        return spaces.Discrete(2**21 if self.what == "many actions" else 2)
+
+    def observation_space(self, agent: str) -> Any:
+        if self.what == "large observations":
+            return spaces.Discrete(10**7)
+        return spaces.Dict({}) if self.what == "an empty dictionary" else super().observation_space(agent)
+
+    def seen(self) -> dict[str, Any]:
+        odd: dict[str, Any] = {"nothing seen": None, "complex numbers": np.array([1j, 0]), "texts": ["1", "2"]}
+        odd["an empty dictionary"] = {}
+        return {agent: odd.get(self.what, each) for agent, each in super().seen().items()}
+
+    def infos(self) -> dict[str, Any]:
+        odd = {"words as infos": "ok", "odd infos": {"won": 10**400, "\ud800": 1, "lost": 2}}
+        return dict.fromkeys(self.possible_agents, odd.get(self.what, {}))
+
+    def paid(self, action: Any) -> Any:
+        if self.what == "its main program":
+            assert sys.modules["__main__"] is workers.NO_MAIN
+        return "1" if self.what == "texts as rewards" else 1.0
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        result = super().reset(seed)
+        if self.what == "nobody plays":
+            self.agents = []
+        return result
+
+    def step(self, actions: dict[str, Any]) -> Any:
+        result = super().step(actions)
+        if self.what == "no list of agents":
+            self.agents = None  # type: ignore[assignment]
+        return result
+
+
+class Lingers(Line):
+    """Starts a thread or a process that nothing ends."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__()
+        kind: Any = {"thread": threading.Thread, "process": multiprocessing.get_context("fork").Process}[what]
+        kind(target=time.sleep, args=(1000,)).start()

@@ -31,7 +31,7 @@ ALLOWED = {
     "adapters": tuple(f"envs.{name}" for name in "adapters faults settings workers tasks vector make".split()),
     "check.py": ("envs.faults", "envs.settings", "envs.vector"),
     "__init__.py": tuple(f"envs.{name}" for name in "needed adapters families tasks vector render".split()),
-    "runs": ("envs.runs", "envs.faults", "envs.tasks", "envs.vector", *FUNCTIONS),
+    "runs": ("envs.runs", "envs.faults", "envs.tasks", "envs.vector", "envs.workers", *FUNCTIONS),
 }
 
 

@@ -10,10 +10,12 @@ import sys
 import time
 from importlib.metadata import distributions
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import programs
+import psutil
 import pytest
 import strangers
 import torch
@@ -33,7 +35,7 @@ SHORT = ["--total-timesteps", "20", "--eval-points", "2", "--eval-episodes", "2"
 def games(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Modules with a parallel_env, in a folder that is the current one."""
     folder = tmp_path_factory.mktemp("games")
-    for name in "Simulator Settles Exits Masked Sees Codes Continuous Odd Varied".split():
+    for name in "Simulator Settles Exits Masked Sees Codes Continuous Odd Varied Hands Lingers".split():
         (folder / f"{name.lower()}.py").write_text(
             f"import sys\nsys.path.append({str(ROOT / 'tests')!r})\nfrom strangers import {name} as parallel_env\n"
         )
@@ -42,7 +44,9 @@ def games(tmp_path_factory: pytest.TempPathFactory) -> Any:
     )
     (folder / "reads.py").write_text(reads + "import settles\nfrom strangers import Line as parallel_env\n")
     (folder / "leaves.py").write_text("import sys\nsys.exit()\n")
-    (folder / "namesake.py").write_text("from envs import world\n")
+    for name in ("envs", "benchmark", "iql"):
+        (folder / f"namesake_{name}.py").write_text(f"from {name} import world\n")
+        (folder / f"namesake_{name}_world.py").write_text(f"import {name}.world\n")
     deaf = f"import sys\nsys.path.append({str(ROOT / 'tests')!r})\nimport signal\nfrom strangers import Line\n"
     deaf += "class parallel_env(Line):\n    def reset(self, seed=None, options=None):\n"
     deaf += "        signal.signal(signal.SIGTERM, signal.SIG_IGN)\n        return super().reset()\n"
@@ -151,6 +155,28 @@ class TestClosing:
         assert done.returncode == 137 and "Traceback" not in done.stderr
         assert done.stderr.splitlines()[-1].endswith("was killed, perhaps since memory ran out.")
 
+    @pytest.mark.slow
+    @pytest.mark.parametrize("what", ["thread", "process"])
+    def test_what_a_game_leaves_behind(self, tmp_path: Path, what: str) -> None:
+        """It does not keep a program from its end, nor from its exit code."""
+        done = run("ippo", "lingers", "--env-kwargs", f"what={what!r}", "--run-dir", tmp_path / "run")
+        assert done.returncode == 0 and "has started has not ended by itself: " in done.stderr.splitlines()[-1]
+
+    @pytest.mark.parametrize("how", ["exit", "close"])
+    def test_check_says_how_an_own_environment_ends(self, how: str) -> None:
+        from envs.families.matrix import Env
+
+        class Ends(Env):
+            def step(self, actions: Any) -> Any:
+                return sys.exit() if how == "exit" else super().step(actions)
+
+            def close_extras(self, **kwargs: Any) -> None:
+                if how == "close":
+                    raise RuntimeError("cannot close")
+
+        found = problems(lambda n, seed, copy: Ends("own", n, seed, copy, payoffs=((0, 1), (1, 0))))
+        assert len(found) == 1 and ("SystemExit" if how == "exit" else "RuntimeError: cannot close") in found[0]
+
 
 class TestSettings:
     """Of the whole program: a game's hold while it plays, and ours outside."""
@@ -162,6 +188,16 @@ class TestSettings:
         env = play("settles", 3, 2, env_kwargs={"what": what}, env_workers=workers)
         assert Settings.now() == before
         env.close()
+
+    @pytest.mark.parametrize("what", ["double", "no gradients", "folder", "raises"])
+    def test_also_where_a_step_sets_them(self, what: str) -> None:
+        """Not all are looked at in each step, but all at the end of an episode."""
+        before = Settings.now()
+        env = play("settles", 5, env_kwargs={"what": what, "when": "step"})
+        assert Settings.now() == before
+        env.reset()
+        env.step(np.zeros((1, 2), np.int64))
+        assert Settings.now() == before
 
     @pytest.mark.parametrize("name", ["ippo", "iql"])
     @pytest.mark.parametrize("what", ["double", "no gradients", "folder"])
@@ -288,6 +324,37 @@ class TestWhatIsHandedOn:
         found = hints(lambda n, seed, copy: envs.make("pettingzoo:codes", n, seed, copy, **options))
         assert any("`no_divide_images` leaves them" in hint for hint in found) == warns
         assert play("codes", divide_images=False, **options).observations.max() == most
+
+    @pytest.mark.parametrize(
+        "what, said",
+        [
+            ("same names", "has agents of the same name"),
+            ("nobody plays", "has no agents in `agents` after its reset"),
+            ("no list of agents", "must return two dictionaries by agent"),
+            ("words as infos", "must return two dictionaries by agent"),
+            ("nothing seen", "play on without an observation"),
+            ("complex numbers", "it is of the type complex128"),
+            ("texts", "it is of the type <U1"),
+            ("texts as rewards", "'1' is no reward"),
+            ("many actions", "are 2,097,152, and these algorithms choose among at most 1,048,576."),
+        ],
+    )
+    def test_what_nobody_expects(self, what: str, said: str) -> None:
+        assert said in refusal("hands", env_kwargs={"what": what})
+
+    def test_observations_larger_than_the_memory(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Before their space is made."""
+        monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=2**28))
+        monkeypatch.setattr(spaces, "flatten_space", None)
+        assert "does not fit into this machine's memory" in refusal("hands", env_kwargs={"what": "large observations"})
+
+    @pytest.mark.parametrize("what", ["no close", "no metadata", "an empty dictionary", "its main program"])
+    def test_what_is_no_obstacle(self, what: str) -> None:
+        play("hands", env_kwargs={"what": what}).close()
+
+    def test_numbers_and_names_that_results_cannot_have(self) -> None:
+        env = play("hands", 5, env_kwargs={"what": "odd infos"})
+        assert env.statistics == {"?": 1, "lost": 2}
 
     def test_actions_are_numpys(self) -> None:
         assert play("odd", env_kwargs={"what": "items"}).rewards.tolist() == [0]
@@ -492,8 +559,12 @@ class TestWholeRuns:
 
 
 class TestNames:
-    def test_a_game_with_a_package_envs(self) -> None:
-        assert "the name `envs` is this project's, so a package of the game needs another one" in refusal("namesake")
+    @pytest.mark.parametrize("name", ["envs", "benchmark", "iql"])
+    @pytest.mark.parametrize("how", ["", "_world"])
+    def test_a_game_with_a_package_of_our_name(self, monkeypatch: pytest.MonkeyPatch, name: str, how: str) -> None:
+        monkeypatch.syspath_prepend(ROOT / "algos")  # as for a script
+        said = refusal(f"namesake_{name}{how}")
+        assert f"the name `{name}` is this project's, so a package of the game needs another one" in said
 
     @pytest.mark.skipif(not list(distributions(name="marl-baselines")), reason="of an installation (pip install -e .)")
     @pytest.mark.parametrize("init", [True, False])
@@ -513,9 +584,13 @@ class TestNames:
             assert "takes the place of this project's package envs: rename it, or start elsewhere." in done.stderr
 
 
-def test_many_environments_take_no_memory_before_they_play() -> None:
-    """Their observations alone have 650 MB, and their spaces would have twice as much."""
-    code = "import envs\ntry:\n    envs.make('rware-large-20p-5s', 10_000)\nexcept envs.InputError: pass\n"
+@pytest.mark.parametrize(
+    "task, num_envs",
+    [("'rware-large-20p-5s'", 10_000), ("'pettingzoo:varied', env_kwargs=\"what='many actions'\"", 10**7)],
+)
+def test_many_environments_take_no_memory_before_they_play(task: str, num_envs: int) -> None:
+    """Observations have 650 MB and their spaces would have twice as much; or masks would fill any memory."""
+    code = f"import envs\ntry:\n    envs.make({task}, num_envs={num_envs})\nexcept envs.InputError: pass\n"
     code += "print(open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"  # `ru_maxrss` has its parent's, too
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(done.stdout) * 1024 < 2**30

@@ -5,9 +5,9 @@
     Box                          all combinations of `action_bins` equally distant values in each dimension, from the
                                  lower bound to the upper one
 
-There are at most MOST combinations. A mask has an entry for each choice; for MultiDiscrete and MultiBinary it may also
-have one for each value of each part, as a tuple of masks or as one row of all of them. Then a combination is allowed if
-each of its parts is.
+There are at most MOST combinations, and a Discrete has at most MOST_DISCRETE values. A mask has an entry for each
+choice; for MultiDiscrete and MultiBinary it may also have one for each value of each part, as a tuple of masks or as
+one row of all of them. Then a combination is allowed if each of its parts is.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from envs.vector import InputError
 
 MOST = 1024
+MOST_DISCRETE = 2**20  # a network has a row of weights for each; and masks of more fill the memory
 
 
 class Actions:
@@ -35,6 +36,7 @@ class Actions:
         self.table: NDArray[Any] | None = None  # the combinations
         if isinstance(space, spaces.Discrete):
             self.n, self.first = int(space.n), int(space.start)
+            self.check_number(space, "", MOST_DISCRETE)
             return
         if isinstance(space, spaces.MultiDiscrete):
             starts = np.asarray(space.start).ravel()
@@ -56,16 +58,20 @@ class Actions:
         else:
             raise InputError(f"{name} has actions of the kind {space}; these algorithms need discrete ones.")
         self.n = math.prod(len(values) for values in self.values)
-        if self.n > MOST:
-            number = f"{self.n:,}" if self.n < 10**15 else f"about 10^{math.log10(self.n):.0f}"
-            fewer = "; fewer `action_bins` make fewer" if isinstance(space, spaces.Box) else ""
-            raise InputError(
-                f"{name}: the actions {space} are {number} combinations, and these algorithms choose among at most "
-                f"{MOST:,}{fewer}."
-            )
+        self.check_number(space, " combinations", MOST)
         self.places = np.array([*itertools.product(*(range(len(values)) for values in self.values))], np.int64)
         parts = [values[places] for values, places in zip(self.values, self.places.T)]
         self.table = np.stack(parts, axis=1).astype(space.dtype).reshape(self.n, *space.shape)
+
+    def check_number(self, space: Any, what: str, most: int) -> None:
+        """Raises InputError where these are more choices than `most`."""
+        if self.n > most:
+            number = f"{self.n:,}" if self.n < 10**15 else f"about 10^{math.log10(self.n):.0f}"
+            fewer = "; fewer `action_bins` make fewer" if isinstance(space, spaces.Box) else ""
+            raise InputError(
+                f"{self.name}: the actions {space} are {number}{what}, and these algorithms choose among at most "
+                f"{most:,}{fewer}."
+            )
 
     def __getitem__(self, choice: int) -> Any:
         """The game's action, of the type that its space samples."""

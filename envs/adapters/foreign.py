@@ -55,7 +55,8 @@ import numbers
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -69,10 +70,12 @@ from envs.adapters.observations import flattened
 from envs.faults import in_words, is_ours, place
 from envs.settings import Settings, no_arguments
 from envs.vector import RESULT_COLUMNS, InputError
-from envs.workers import Games, close, hidden_main
+from envs.workers import NO_MAIN, Games, close
 
 # Where environments keep the number of steps after which they end an episode
 CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")
+
+LARGEST = float(np.finfo(np.float32).max)
 
 CODES = 20  # an image of bytes without a larger value has codes
 
@@ -103,6 +106,20 @@ class Outcome(NamedTuple):
     statistics: Mapping[str, float]  # at the end of an episode
 
 
+def understood(play: Callable[[Any, Any], Outcome]) -> Callable[[Any, Any], Outcome]:
+    """A method of `Game`: what a game returns may be anything, and an error that comes of it is a sentence, too."""
+
+    @functools.wraps(play)
+    def wrapped(game: Any, given: Any) -> Outcome:
+        try:
+            return play(game, given)
+        except Exception as error:
+            game.blame(f"in {play.__name__}", error)
+            raise
+
+    return wrapped
+
+
 class Game:
     """One environment, with agents by number. The two classes below know the interfaces."""
 
@@ -116,7 +133,9 @@ class Game:
         self.has_settings = False  # whether others than PyTorch's first two are its own
         with self.told("when it is built"):
             self.env = self.build(source, {})
-        self.can_draw = source.pictures and "rgb_array" in getattr(self.env, "metadata", {}).get("render_modes", ())
+        metadata = getattr(self.env, "metadata", None)
+        modes = metadata.get("render_modes") if isinstance(metadata, Mapping) else None
+        self.can_draw = source.pictures and "rgb_array" in (modes or ())
         if self.can_draw and "render_mode" not in source.kwargs:
             self.close()  # only here: to close a game can end pygame for all others
             with self.told("when it is built"):
@@ -128,8 +147,9 @@ class Game:
 
         try:
             self.look_at(source)
-        except BaseException:
+        except BaseException as error:
             close([self])
+            self.blame("when it is looked at", error)
             raise
 
     def look_at(self, source: Source) -> None:
@@ -144,17 +164,21 @@ class Game:
         self.choices = tuple(actions.n for actions in self.actions)
         self.spaces_seen = [self.space_seen(space) for space in observation_spaces]
         flat: list[Any] = []
-        with contextlib.suppress(NotImplementedError):  # such as a space of texts of the package's own
-            flat = [spaces.flatten_space(space) for space in self.spaces_seen]
+        sizes = [0]
+        with contextlib.suppress(NotImplementedError, ValueError):  # such as a space of texts of the package's own
+            sizes = [spaces.flatdim(space) for space in self.spaces_seen]
+        check_memory(self.name, 1, 20 * sum(sizes))  # for each value bounds of 8 bytes and a divisor
+        with contextlib.suppress(NotImplementedError):
+            nothing = spaces.Box(0, 1, (0,))  # of an empty dictionary, for which Gymnasium has no vector
+            flat = [spaces.flatten_space(space) if leaves(space) else nothing for space in self.spaces_seen]
         if not flat or not all(isinstance(space, spaces.Box) for space in flat):
             raise InputError(f"{self.name} has observations without a fixed size: {observation_spaces[0]}.")
         self.obs_size = max(int(space.shape[0]) for space in flat)
         self.scales = [scale(space, source.divide_images) for space in self.spaces_seen]
-        largest = float(np.finfo(np.float32).max)
         lows = [(space.low / scale).min(initial=0) for space, scale in zip(flat, self.scales)]
         highs = [(space.high / scale).max(initial=0) for space, scale in zip(flat, self.scales)]
-        self.low = max(float(min(0.0, *lows)), -largest)  # 0: the padding
-        self.high = min(float(max(0.0, *highs)), largest)
+        self.low = max(float(min(0.0, *lows)), -LARGEST)  # 0: the padding
+        self.high = min(float(max(0.0, *highs)), LARGEST)
         teams = self.teams()
         if teams is not None and (len(teams) != self.n_agents or 0 not in teams):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, from 0 on.")
@@ -211,8 +235,9 @@ class Game:
 
     def close(self) -> None:
         """Closes the environment."""
-        with self.told("in close"):
-            self.env.close()
+        if callable(ending := getattr(self.env, "close", None)):
+            with self.told("in close"):
+                ending()
 
     @contextlib.contextmanager
     def told(self, where: str) -> Iterator[None]:
@@ -222,28 +247,37 @@ class Game:
         """
         quick = where == "in step" and not self.has_settings
         ours = Settings.now(quick)
+        if not quick:
+            self.ours = ours
         self.own.hold(ours)
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = NO_MAIN  # the game may start a process; as `hidden_main`, in less time
         try:
-            if quick:
-                yield
-            else:
-                with hidden_main():  # the game may start a process
-                    yield
+            yield
         except BaseException as error:
             self.blame(where, error)
             raise
         finally:
+            sys.modules["__main__"] = main
             self.own = Settings.now(quick)
             self.same = self.own == ours
             self.has_settings = bool(ours.changed(self.own)) and not quick
             ours.hold(self.own)
 
+    def look_again(self) -> None:
+        """Looks, at the end of an episode, for all settings that the game has made in a step: they are its own, too."""
+        now = Settings.now()
+        ours = self.ours._replace(dtype=now.dtype, gradients=now.gradients)  # each step has looked at these
+        if now != ours:
+            self.own, self.has_settings = now, True
+            ours.hold(now)
+
     def blame(self, where: str, error: BaseException) -> None:
         """Raises InputError with a sentence about an error of the game's; not about a signal that ends the program."""
         if isinstance(error, InputError | KeyboardInterrupt) or (not isinstance(error, Exception) and is_ours(error)):
             return
-        said = fault(self.name, where, error) or f"{self.name}: {self.rules}; {in_words(error)}"
-        raise InputError(said) from error
+        rules = f"{self.name}: {self.rules};" if where in ("in reset", "in step") else f"{self.name} fails {where} with"
+        raise InputError(fault(self.name, where, error) or f"{rules} {in_words(error)}") from error
 
     def returned(self, method: str, result: Any, kinds: tuple[type, ...]) -> Any:
         """What reset or step gave, if it has these parts. Raises InputError for an older interface, such as Gym's."""
@@ -279,6 +313,8 @@ class Game:
         """The contract's arrays. seen, masks: of each agent; None if it has left, or if there is no mask."""
         if self.steps == 0:
             self.masked.clear()
+        if terminated or truncated:
+            self.look_again()
         observations = np.zeros((self.n_agents, self.obs_size), np.float32)
         action_mask = np.zeros((self.n_agents, max(self.choices)), np.bool_)
         for i, observation in enumerate(seen):
@@ -359,10 +395,11 @@ class Game:
 
     def number(self, reward: Any) -> float:
         """A reward, which may be an array of one value. Raises InputError for anything else."""
-        try:
-            return float(np.asarray(reward, float).item())
-        except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of PyTorch's that has a gradient
-            raise InputError(f"{self.name}: {reward!r} is no reward.") from None
+        with contextlib.suppress(TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that has a gradient
+            given = np.asarray(reward)
+            if given.dtype.kind in "biufO":  # NumPy makes numbers of texts and complex numbers, too
+                return float(given.item())
+        raise InputError(f"{self.name}: {reward!r} is no reward.")
 
     def sum_over_team(self, agent_rewards: list[float]) -> float:
         """The reward of team 0."""
@@ -378,6 +415,19 @@ class Game:
             )
 
 
+def check_memory(name: str, num_envs: int, room: int) -> None:
+    """Raises InputError where an environment needs more bytes than there are, before they are written, and so taken."""
+    if room < 2**28:  # it takes a while to look at the memory
+        return
+    import psutil
+
+    if room > (free := psutil.virtual_memory().available):
+        raise InputError(
+            f"{name} with num_envs={num_envs} does not fit into this machine's memory: it takes at least "
+            f"{room / 2**20:,.0f} MiB, and {free / 2**20:,.0f} are free."
+        )
+
+
 def look_here() -> None:
     """Lets imports find modules in the current folder; for a script, Python looks only into the script's own."""
     if os.getcwd() not in sys.path:
@@ -389,16 +439,14 @@ def import_module(name: str, target: str) -> Any:
     look_here()
     if target.startswith("."):
         raise InputError(f"{name}: {target} is not the name of a module.")
-    ours = "; the name `envs` is this project's, so a package of the game needs another one"
     try:
         with no_arguments():
             return importlib.import_module(target)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{target}.".startswith(f"{error.name}."):
-            more = ours if f"{error.name}".startswith("envs.") else ""
-            raise InputError(f"{name} needs the module {error.name}, which is not installed{more}.") from error
+            raise InputError(f"{name} needs the module {error.name}, which is not installed{taken(error)}.") from error
     except ImportError as error:  # such as PettingZoo's words on what has moved to another package
-        raise InputError(f"{name}: {error}{ours if error.name == 'envs' else ''}") from error
+        raise InputError(f"{name}: {error}{taken(error)}") from error
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) or (not isinstance(error, Exception) and is_ours(error)):
             raise
@@ -408,6 +456,16 @@ def import_module(name: str, target: str) -> Any:
     if retired is None:
         raise InputError(f"{name}: there is no module {target}, neither installed nor in the current folder.")
     return retired
+
+
+def taken(error: ImportError) -> str:
+    """What is to be said where a game has looked for a module of its own and found one of this project's."""
+    first = f"{error.name}".partition(".")[0]
+    file = getattr(sys.modules.get(first), "__file__", None)
+    root = Path(__file__).parents[2]
+    if file is None or Path(file).parent not in [root / folder for folder in ("algos", "benchmark", "envs")]:
+        return ""
+    return f"; the name `{first}` is this project's, so a package of the game needs another one"
 
 
 def fault(name: str, where: str, error: BaseException) -> str | None:
@@ -453,13 +511,19 @@ def reported(info: Mapping[Any, Any]) -> dict[str, float]:
     for key, value in info.items():
         if isinstance(value, np.ndarray) and value.ndim == 0:
             value = value.item()
-        if isinstance(value, bool | np.bool_ | numbers.Real) and abs(float(value)) < np.finfo(np.float32).max:
-            name = str(key)
+        if not isinstance(value, bool | np.bool_ | numbers.Real):
+            continue
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number beyond all others
+            continue
+        if abs(number) < LARGEST:
+            name = str(key).encode(errors="replace").decode()  # some texts cannot be written
             own = name
             while own.startswith("info_"):  # `info_seed` and `seed` stay two
                 own = own.removeprefix("info_")
             taken = own in RESULT_COLUMNS or own.startswith("team_") or not own
-            found[f"info_{name}" if taken else name] = float(value)
+            found[f"info_{name}" if taken else name] = number
     return found
 
 
@@ -492,11 +556,13 @@ class ParallelGame(Game):
             env = make(**{**source.kwargs, **more})
         except BaseException as error:  # also of a retired version, or a missing package
             raise unbuilt(source, error) from error
-        if not hasattr(env, "metadata"):
-            env.metadata = {}  # PettingZoo's own functions look into it
         if not hasattr(env, "possible_agents"):
             raise InputError(f"{source.name} has no possible_agents, which tell its agents before an episode begins.")
+        if not isinstance(getattr(env, "metadata", None), Mapping):
+            env.metadata = {}  # PettingZoo's own functions look into it
         self.agents = list(env.possible_agents)
+        if len(set(self.agents)) < len(self.agents):
+            raise InputError(f"{source.name} has agents of the same name: its possible_agents are {self.agents}.")
         self.playing = set(self.agents)
         return env
 
@@ -526,13 +592,14 @@ class ParallelGame(Game):
         teams = getattr(self.env.unwrapped, "teams", None)
         try:
             return None if teams is None else tuple(int(teams[agent]) for agent in self.agents)
-        except (TypeError, ValueError, KeyError, IndexError):
+        except (TypeError, ValueError, KeyError, IndexError, OverflowError):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, by name.") from None
 
     def names(self) -> list[str] | None:
         """See `Game`."""
         return [str(agent) for agent in self.agents]
 
+    @understood
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
         with self.told("in reset"):
@@ -540,9 +607,12 @@ class ParallelGame(Game):
         observations, infos = self.returned("reset", result, (Mapping,) * 2)
         self.steps = 0
         self.playing = self.known(agents, observations)
+        if not self.playing:
+            raise InputError(f"{self.name} has no agents in `agents` after its reset.")
         seen = [observations.get(agent) if agent in self.playing else None for agent in self.agents]
         return self.outcome(seen, self.masks(infos), [0.0] * self.n_agents, 0.0, False, False)
 
+    @understood
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
         choices = zip(self.agents, self.actions, actions)
@@ -579,7 +649,7 @@ class ParallelGame(Game):
         """The agents as a set. Raises InputError for one that `possible_agents` did not name, or that sees nothing."""
         if unknown := set(agents) - set(self.agents):
             raise InputError(f"{self.name}: the agents {sorted(map(str, unknown))} are not among its possible_agents.")
-        if blind := set(agents) - set(observations):
+        if blind := {agent for agent in agents if observations.get(agent) is None}:
             raise InputError(f"{self.name}: the agents {sorted(map(str, blind))} play on without an observation.")
         return set(agents)
 
@@ -631,17 +701,19 @@ class TupleGame(Game):
         teams = getattr(self.env.unwrapped, "teams", None)
         try:
             return None if teams is None else tuple(int(team) for team in teams)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent.") from None
 
+    @understood
     def reset(self, seed: int) -> Outcome:
         """See `Game`."""
         with self.told("in reset"):
             result = self.env.reset(seed=seed)
         observations, info = self.returned("reset", result, (object, Mapping))
         self.steps = 0
-        return self.outcome(self.by_agent(observations), self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
+        return self.outcome(self.seen(observations), self.masks(info), [0.0] * self.n_agents, 0.0, False, False)
 
+    @understood
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
         chosen = tuple(own[action] for own, action in zip(self.actions, actions))
@@ -666,7 +738,7 @@ class TupleGame(Game):
             own = [self.number(value) for value in self.by_agent(rewards)]
             reward = self.sum_over_team(own)
         statistics = reported(info) if terminated or truncated else None
-        seen, masks = self.by_agent(observations), self.masks(info)
+        seen, masks = self.seen(observations), self.masks(info)
         return self.outcome(seen, masks, own, reward, terminated and not truncated, truncated, statistics)
 
     def masks(self, info: Mapping[str, Any]) -> list[Any]:
@@ -675,6 +747,13 @@ class TupleGame(Game):
         if masks is None:
             return [None] * self.n_agents
         return self.by_agent(masks)
+
+    def seen(self, observations: Any) -> list[Any]:
+        """What each agent sees. Raises InputError where that is nothing: here nobody leaves before the end."""
+        seen = self.by_agent(observations)
+        if blind := [i for i, each in enumerate(seen) if each is None]:
+            raise InputError(f"{self.name}: agent {blind[0]} has no observation.")
+        return seen
 
     def by_agent(self, parts: Any) -> list[Any]:
         """What an environment gave for each agent. Raises InputError where these are not as many."""
@@ -738,6 +817,7 @@ class Env(vector.VectorEnv):
         if game.can_draw:
             source = source._replace(kwargs={"render_mode": "rgb_array", **kwargs})
         source = source._replace(pictures=game.can_draw)  # no game need try this again
+        check_memory(name, num_envs, num_envs * game.n_agents * (4 * game.obs_size + max(game.choices)))
         super().__init__(
             name,
             num_envs,

@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 def flattened(space: Any, value: Any) -> NDArray[np.float32]:
     """[value]. Raises ValueError, TypeError or KeyError where it does not fit the space."""
     if isinstance(space, spaces.Box):
-        values = np.asarray(value, np.float32).ravel()
+        given = np.asarray(value)
+        if given.dtype.kind not in "biufO":  # NumPy makes numbers of texts, dates and complex numbers
+            raise ValueError(f"it is of the type {given.dtype}")
+        values = given.astype(np.float32, copy=False).ravel()
         if len(values) != space.low.size:
             raise ValueError(f"it has {len(values)} values")
         return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import os
@@ -25,6 +26,7 @@ from envs.runs.replay import EpisodeFile
 from envs.runs.terminal import one_sentence, show
 from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError, VectorEnv
+from envs.workers import closed_games
 
 if TYPE_CHECKING:
     import torch
@@ -311,7 +313,8 @@ def main(
     script, doc: its file and docstring; then its Args and functions. Wrong input ends with one sentence and exit code
     2.
     """
-    with one_sentence(script):
+    is_the_program = script == getattr(sys.modules["__main__"], "__file__", None)  # and no test, or notebook, calls it
+    with closed_games() if is_the_program else contextlib.nullcontext(), one_sentence(script):
         args = parse_flags(args_class, paper_defaults, sys.argv[1:], doc)
         import torch
 
