@@ -52,7 +52,7 @@ def dry_run(runs: list[PlannedRun], results: Path, jobs: int) -> int:
     code = 0
     for run in runs:
         try:
-            there = store.condition(run, results)
+            there, _ = store.condition(run, results)
         except (ValueError, OSError) as error:
             print(f"{run}: would fail, {error}")
             code = 1

@@ -314,9 +314,13 @@ class NotComplete(InputError):
     """A run has not reached its end."""
 
 
-def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The config and the evaluations of a complete run. Raises NotComplete, or InputError where they are damaged."""
-    config = read_json(directory / "config.json", {"seed": int})
+def read_config(directory: Path) -> dict[str, Any]:
+    """The config of a run. InputError where it is damaged."""
+    return read_json(directory / "config.json", {"seed": int})
+
+
+def read_run(directory: Path, config: dict[str, Any]) -> pd.DataFrame:
+    """The evaluations of a complete run. Raises NotComplete, or InputError where they are damaged."""
     path = directory / "evaluations.csv"
     if not path.exists() or not path.stat().st_size:
         raise NotComplete("it is not complete")
@@ -332,7 +336,7 @@ def read_run(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
             f"it was lengthened to the paper's budget and has {len(numbers)} evaluations instead of {planned}, so its "
             "best one does not compare with that of other runs"
         )
-    return config, parse_text(content)
+    return parse_text(content)
 
 
 def has(run: BenchmarkRun, results: Path) -> bool:
@@ -357,16 +361,17 @@ def check_script(path: Path, algorithm: str, script: str | None, origins: Iterab
         )
 
 
-def condition(run: BenchmarkRun, results: Path) -> str:
-    """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new".
+def condition(run: BenchmarkRun, results: Path) -> tuple[str, tuple[dict[str, Any], pd.DataFrame] | None]:
+    """What is there of a run: "in the results", "complete" (but not collected), "begun" or "new"; of a complete one
+    also its config and its evaluations.
 
     InputError where its table of the results is damaged, or its directory holds a damaged or another run.
     """
     if has(run, results):
-        return "in the results"
+        return "in the results", None
     if not (run.directory / "config.json").exists():
-        return "new"
-    config = read_json(run.directory / "config.json", {"seed": int})
+        return "new", None
+    config = read_config(run.directory)
     there, wanted = config["changed"] | {"seed": config["flags"]["seed"]}, run.changed | {"seed": run.seed}
     different = sorted(name for name in there.keys() | wanted.keys() if there.get(name) != wanted.get(name))
     if different:
@@ -375,10 +380,9 @@ def condition(run: BenchmarkRun, results: Path) -> str:
             "runs elsewhere with --runs"
         )
     try:
-        read_run(run.directory)
+        return "complete", (config, read_run(run.directory, config))
     except NotComplete:
-        return "begun"
-    return "complete"
+        return "begun", None
 
 
 def bring_in(run: BenchmarkRun, results: Path) -> str:
@@ -386,24 +390,29 @@ def bring_in(run: BenchmarkRun, results: Path) -> str:
 
     InputError as there, and where a complete run cannot be collected.
     """
-    there = condition(run, results)
-    if there != "complete":
+    there, complete = condition(run, results)
+    if complete is None:
         return there
     try:
-        collect(run.directory, results)
+        put_in(*complete, results)
     except (InputError, OSError) as error:  # InputError: it does not fit to the other seeds
         raise InputError(f"complete, but not collected: {error} ({run.directory})") from error
     return "in the results"
 
 
 def collect(directory: Path, results: Path = RESULTS, replace: bool = False) -> Path:
+    """Puts the complete run of a directory into the results, as `put_in`. Raises InputError where there is none."""
+    config = read_config(directory)
+    return put_in(config, read_run(directory, config), results, replace)
+
+
+def put_in(config: dict[str, Any], rows: pd.DataFrame, results: Path, replace: bool = False) -> Path:
     """Puts a complete run into the results; gives the path of its table.
 
     Raises InputError, one sentence, where the run does not fit, and OSError where it cannot be written; the results
     then are as they were. Several processes may collect into the same folder. One that is killed leaves the results as
     they were, or with the whole run.
     """
-    config, rows = read_run(directory)
     flags = config["flags"]
     hyperparameters.check(config["algorithm"], flags, config["changed"])
     path = table_path(

@@ -305,7 +305,16 @@ class RunDirectory:
             return None
         with fitting_checkpoint(self.path):
             check_counters(saved)
-        then, now = saved["config"], self.config
+        self._check_flags(saved["config"])
+        if self.args.total_timesteps > saved["config"]["flags"]["total_timesteps"]:
+            self._lengthen(saved["config"]["flags"], saved["budget"])
+        self._stopwatch = Stopwatch(**saved["seconds"])
+        self._write_tables(saved)
+        return saved
+
+    def _check_flags(self, then: Mapping[str, Any]) -> None:
+        """Raises InputError where a run with this config cannot go on with what the command line says."""
+        now = self.config
         if then["algorithm"] != now["algorithm"]:
             raise InputError(f"{self.path} holds a run of {then['algorithm']}.py.")
         flags = then["flags"]
@@ -316,18 +325,22 @@ class RunDirectory:
         if now["flags"]["total_timesteps"] < flags["total_timesteps"]:
             words = as_flag("total_timesteps", flags["total_timesteps"])
             raise InputError(f"{self.path} was begun with {words}; timesteps can only be added.")
-        if now["flags"]["total_timesteps"] > flags["total_timesteps"] and flags["eval_points"] > 1:
-            intervals, total = flags["eval_points"] - 1, now["flags"]["total_timesteps"]
-            apart = f"its evaluations stay {saved['budget'] / intervals:,.0f} steps apart"
-            if total * intervals % saved["budget"]:  # else there would be none at its end
-                step = saved["budget"] // math.gcd(saved["budget"], intervals)
-                fitting = max(total // step * step, flags["total_timesteps"])
-                words = f"{as_flag('total_timesteps', fitting)} or {fitting + step}"
-                raise InputError(f"{self.path} cannot become so long, since {apart}: {words} fits.")
-            say(f"{self.path} becomes longer; {apart}.")
-        self._stopwatch = Stopwatch(**saved["seconds"])
-        self._write_tables(saved)
-        return saved
+
+    def _lengthen(self, then: Mapping[str, Any], budget: int) -> None:
+        """Says where the evaluations of a run with these flags lie that becomes longer; budget: when it was begun.
+
+        Raises InputError where there would be none at its end.
+        """
+        intervals, total = then["eval_points"] - 1, self.args.total_timesteps
+        if intervals == 0:
+            return
+        apart = f"its evaluations stay {budget / intervals:,.0f} steps apart"
+        if total * intervals % budget:
+            step = budget // math.gcd(budget, intervals)
+            fitting = max(total // step * step, then["total_timesteps"])
+            words = f"{as_flag('total_timesteps', fitting)} or {fitting + step}"
+            raise InputError(f"{self.path} cannot become so long, since {apart}: {words} fits.")
+        say(f"{self.path} becomes longer; {apart}.")
 
     def seconds(self) -> dict[str, float]:
         """wall_seconds and cpu_seconds spent on the run so far, also before it was resumed; without --env-workers'."""
