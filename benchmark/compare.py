@@ -197,7 +197,7 @@ def main() -> None:
     comparison = Comparison(args.names, args.results)
     page = comparison.page()
     args.output.mkdir(parents=True, exist_ok=True)
-    plots.save(comparison.curves(), args.output / "curves", " ".join(args.names))
+    plots.save(comparison.curves(), args.output / "curves")
     runs.write_whole(args.output / "comparison.md", page)
     print(page)
 

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from benchmark import measures
 from benchmark.measures import interval
@@ -67,20 +67,17 @@ plt.rcParams.update(
 )
 
 
-def save(figure: Figure, path: Path, source: str) -> None:
-    """Writes path.svg and path.png, the PNG with few colours, since it is kept in the repository, and with `source`,
-    what it was drawn from, in its metadata."""
+def save(figure: Figure, path: Path) -> None:
+    """Writes path.svg and path.png, the PNG with few colours, since it is kept in the repository."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # the panels have their places now; saving would compute them again
     svg, large, png = io.BytesIO(), io.BytesIO(), io.BytesIO()
     figure.savefig(svg, format="svg", metadata={"Date": None})
     figure.savefig(large, format="png", dpi=DOTS_PER_INCH)
     plt.close(figure)
-    noted = PngImagePlugin.PngInfo()
-    noted.add_text("Source", source)
     with Image.open(large) as image:
         small = image.convert("RGB").quantize(PNG_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    small.save(png, "png", optimize=True, pnginfo=noted)
+    small.save(png, "png", optimize=True)
     write_whole(path.with_suffix(".svg"), svg.getvalue())
     write_whole(path.with_suffix(".png"), png.getvalue())
 

@@ -5,7 +5,7 @@
 writes into the output folder
 
     RESULTS.md     tables, figures and claims
-    figures/       the figures, PNG and SVG
+    figures/       the figures, PNG and SVG, and a hash of the results that they were drawn from
     tables.csv     the cells of all tables, ours and the paper's
     evaluations.csv.gz     every evaluation of every run, one row each; not in git, which each report would make larger
 
@@ -503,7 +503,7 @@ def score_text(measure: Callable[..., np.ndarray], *teams: list[np.ndarray]) -> 
 
 
 def digest(results: Path) -> str:
-    """A hash of all results, by which a figure says what it was drawn from."""
+    """A hash of all results, which stands beside the figures that were drawn from them."""
     found = hashlib.sha256()
     for path in sorted(results.glob("**/*.csv")) + sorted(results.glob("*/*.json")):
         found.update(path.relative_to(results).as_posix().encode())
@@ -578,7 +578,8 @@ def main() -> None:
     if args.output.resolve() == HERE:
         texts[HERE.parent / "README.md"] = between_markers(HERE.parent / "README.md", report.short())
     for name, draw in report.figures().items():
-        plots.save(draw(), args.output / "figures" / name, report.digest)
+        plots.save(draw(), args.output / "figures" / name)
+    runs.write_whole(args.output / "figures" / "source.txt", report.digest + "\n")
     for path, text in texts.items():
         runs.write_whole(path, text)
     (args.output / "evaluations.csv.gz").write_bytes(
