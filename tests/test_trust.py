@@ -82,6 +82,12 @@ def test_a_team_names_no_code(gift: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert Path("ran").exists()
 
 
+def test_a_team_starts_no_processes(gift: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """How many play is a flag of the command line: for this task there are none, as a run of it would say."""
+    change(gift, lambda saved: saved["config"]["flags"].update(env_workers=3))
+    assert mappo(monkeypatch, capsys, "--watch", gift, "--eval-episodes", 2)[0] == 0
+
+
 @pytest.mark.parametrize("name", ["film.gif", "episodes.csv", "episodes.csv.new"])
 def test_watching_follows_no_links(gift: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, name: str) -> None:
     (gift / name).symlink_to("../victim")

@@ -279,7 +279,7 @@ def watch(args: Any, load: Callable[..., Team], given: set[str]) -> None:
         )
     another = "env" in given and args.env != own
     chosen = {"env", *OF_THE_TASK} if another else given & OF_THE_TASK  # another task has other arguments
-    chosen |= given & {"env_workers"}
+    chosen |= {"env_workers"}  # how many processes begin here is not for a run of others to say
     played = dataclasses.replace(team.args, **{name: getattr(args, name) for name in chosen})
     env = make_for(played, args.eval_episodes, pictures=True)
     saved = last_checkpoint(args.watch) or {}
