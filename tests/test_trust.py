@@ -205,6 +205,19 @@ def test_malformed_checkpoints(gift: Path, monkeypatch: pytest.MonkeyPatch, caps
         assert code == 2 and len(said.strip().splitlines()) == 1, flags
 
 
+@pytest.mark.parametrize("how", ["start", "resume"])
+def test_weights_from_which_no_training_goes_on(
+    gift: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, how: str
+) -> None:
+    """They are finite, but so large that the first loss is not: wrong input, and no training that diverges."""
+    change(gift, lambda saved: [weights.fill_(1e30) for weights in saved["parts"]["critic"].values()])
+    words: list[Any] = [*SHORT, "--hidden-dim", 8, "--start-from", gift, "--run-dir", "run"]
+    if how == "resume":
+        words = [*SHORT, "--hidden-dim", 8, "--total-timesteps", 500, "--run-dir", gift, "--resume"]
+    code, said = mappo(monkeypatch, capsys, *words)
+    assert code == 2 and f"The weights of {gift} cannot be trained on: loss/critic is" in said.splitlines()[-1]
+
+
 def test_a_checkpoint_larger_than_its_file(gift: Path) -> None:
     """PyTorch packs nothing; a packed one may have a thousand times as much in it."""
     whole = (gift / "checkpoint.pt").rename(gift / "whole")

@@ -23,7 +23,7 @@ from envs.runs.flags import OF_THE_TASK, given_flags, make_for, parse_flags
 from envs.runs.log import Log, in_words
 from envs.runs.process import StopSignals, keep_freed_memory
 from envs.runs.replay import EpisodeFile
-from envs.runs.terminal import one_sentence, show
+from envs.runs.terminal import Diverged, one_sentence, show
 from envs.tasks import OF_OTHERS
 from envs.vector import EpisodeTotals, InputError, VectorEnv
 from envs.workers import closed_games
@@ -113,6 +113,7 @@ class Run:
         elif args.start_from:
             start_from(args.start_from, self.directory.config["algorithm"], parts)
         self.resumed = saved is not None
+        self.source = self.directory.path if self.resumed else args.start_from  # of weights that no update has met yet
         self.signals = StopSignals()
 
     @functools.cached_property
@@ -194,10 +195,18 @@ class Run:
         """Counts and logs a batch.
 
         played: [time, env], of its episodes; returns: theirs, [env]; metrics: what `update` returned.
+        Raises as the log's `batch`, and InputError where weights that were read lead to no finite loss at once.
         """
         lengths = played.sum(0).tolist()
         self.timestep += sum(lengths)
-        self.log.batch(self.timestep, returns.tolist(), lengths, metrics)
+        try:
+            self.log.batch(self.timestep, returns.tolist(), lengths, metrics)
+        except Diverged as error:
+            if not self.source:
+                raise
+            raise InputError(f"The weights of {self.source} cannot be trained on: {error}") from error
+        if metrics:
+            self.source = ""
 
     def stop_if_asked(self) -> None:
         """Saves and ends the process where a signal has come, such as Ctrl-C."""
