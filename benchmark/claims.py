@@ -249,7 +249,9 @@ class Scope:
     def like_the_highest(self, algorithm: str, names: tuple[str, ...]) -> Array:
         """Whether it is not significantly different from the highest of these."""
         own, highest = self.cell(algorithm), self.values(names).argmax(axis=0)
-        alike = [~self.different(own, self.cell(names[k])) & (highest == k) for k in np.unique(highest)]
+        alike = [
+            ~self.different(own, self.cell(names[k])) & (highest == k) for k in np.flatnonzero(np.bincount(highest))
+        ]
         return np.any(alike, axis=0)
 
     def sharing_means(self) -> Array:

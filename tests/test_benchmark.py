@@ -996,6 +996,7 @@ def test_an_algorithm_of_your_own_is_reported_beside_the_papers(monkeypatch, tmp
     assert "MY_MAPPO" in drawn and "stroke: #000000" in drawn
 
 
+@pytest.mark.slow
 def test_a_single_run_of_a_foreign_task_is_reported(monkeypatch, tmp_path):
     directory = make_run(tmp_path / "run", env="gymnasium:Some-v1", changed={"total_timesteps": 1000, "network": "gru"})
     store.collect(directory, tmp_path / "results")

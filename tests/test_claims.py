@@ -221,6 +221,7 @@ def test_the_luck_of_untrained_networks_does_not_count():
         assert value(view, "max_return", "shared", "matrix-climbing", "iql") == 150
 
 
+@pytest.mark.slow
 def test_which_maxima_of_the_paper_are_untrained():
     """Those of our runs that lie before training, and are the paper's to the cent."""
     ours = measures.our_cells(store.load())
@@ -353,6 +354,7 @@ def best_in_rware(*cells):
     return found[claim("MAPPO's returns in RWARE exceed")]
 
 
+@pytest.mark.slow
 def test_a_narrow_difference_of_single_seeds_is_too_close_to_call():
     narrow, wide, complete = best_in_rware(20.2, 20.1, 1), best_in_rware(90, 20, 1), best_in_rware(20.2, 20.1, 5)
     assert (narrow.verdict, wide.verdict, complete.verdict) == (claims.CLOSE, claims.HOLDS, claims.HOLDS)
@@ -408,6 +410,7 @@ def test_no_draw_is_beyond_the_games_bounds():
     assert coma.std() > 0.05 and coma.max() > 0.98
 
 
+@pytest.mark.slow
 def test_verdicts_do_not_depend_on_what_was_judged_before():
     cells = pd.concat([of_rware(9, 1, 1), table({task: {} for task in claims.SETS["lbf"]})])
     first, second = claims.judge(cells), claims.judge(cells)

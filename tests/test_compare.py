@@ -92,6 +92,7 @@ def test_two_sides_that_are_the_same_are_not_compared(tmp_path):
     assert "has no effect" in said
 
 
+@pytest.mark.slow
 def test_seeds_of_two_algorithms_hardly_rise_and_fall_together():
     """Outside the matrix games. So they are compared as samples, not as pairs."""
     evaluations = in_tables(load(RESULTS))
@@ -105,6 +106,7 @@ def test_seeds_of_two_algorithms_hardly_rise_and_fall_together():
     assert len(known) >= 30 and abs(known.mean()) < 0.25, known.describe()
 
 
+@pytest.mark.slow
 def test_five_percent_are_shared_by_all_comparisons_of_a_page():
     comparison = compare.Comparison(["qmix", "vdn"], [RESULTS])
     assert len(comparison.groups) > 10

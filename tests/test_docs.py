@@ -739,6 +739,7 @@ def test_a_band_covers_what_the_explorer_says(site, browser):
     assert all(top >= -1 and bottom <= 381 for top, bottom in browser.execute_script(ends))  # the chart's height is 380
 
 
+@pytest.mark.slow
 def test_no_return_lies_outside_its_bounds():
     curves = results_data.curves()
     for task in curves["task"].unique():

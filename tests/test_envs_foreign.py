@@ -83,7 +83,7 @@ def test_parallel_environments(name: str, make: Any, options: dict[str, Any]) ->
         assert truncated.all() and not terminated.any()
 
 
-@pytest.mark.parametrize(("name", "limit"), [(FORAGING, 50), (WAREHOUSE, 500)])
+@pytest.mark.parametrize(("name", "limit"), [(FORAGING, 50), pytest.param(WAREHOUSE, 500, marks=pytest.mark.slow)])
 def test_tuple_environments(name: str, limit: int) -> None:
     env, theirs = envs.make(name, 2, seed=3), gymnasium.make(name.removeprefix("gymnasium:"), disable_env_checker=True)
     assert (env.episode_limit, env.teams, env.state_is_observations) == (limit, (0, 0), True)

@@ -105,7 +105,7 @@ class TestClosing:
         done = programs.run([*watched, "--eval-episodes", 2, "--watch", tmp_path / "run"], timeout=120)
         assert done.returncode == 0 and "film: " in done.stdout and self.all_closed(file), done.stderr
 
-    @pytest.mark.parametrize("workers", [0, 2])
+    @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
     def test_after_an_error(self, file: Path, tmp_path: Path, workers: int) -> None:
         Path(f"{file}.fail").touch()
         flags = ["--env-kwargs", f"file={str(file)!r}", "--env-workers", workers, "--run-dir", tmp_path / "run"]
@@ -136,6 +136,7 @@ class TestClosing:
         monkeypatch.setattr(strangers.Simulator, "possible_agents", [])
         assert "has no agents" in refusal("simulator", env_kwargs={"file": str(file)}) and self.all_closed(file)
 
+    @pytest.mark.slow
     def test_processes_of_games_in_workers(self, file: Path) -> None:
         """They may start some, and what a killed worker's games have started ends with it."""
         env = play("simulator", 2, 2, env_kwargs={"file": str(file), "how": "spawn"}, env_workers=2)
@@ -147,6 +148,7 @@ class TestClosing:
             for _ in range(4):
                 env.step(np.zeros((2, 2), np.int64))
 
+    @pytest.mark.slow
     def test_a_killed_worker_ends_a_run_with_its_own_code(self, file: Path, tmp_path: Path) -> None:
         """By which a campaign knows that it should try again."""
         Path(f"{file}.die").touch()
@@ -235,7 +237,7 @@ class TestEnds:
         sentence = refusal("exits", env_kwargs={"words": words, "when": when})
         assert "the game's own code fails" in sentence and f"with {said}" in sentence
 
-    @pytest.mark.parametrize("workers", [0, 2])
+    @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
     def test_a_run_ends_with_2(self, tmp_path: Path, workers: int) -> None:
         done = run("iql", "exits", "--env-workers", workers, "--run-dir", tmp_path / "run")
         assert done.returncode == 2 and done.stderr.splitlines()[-1].endswith("with SystemExit")
@@ -253,6 +255,7 @@ class TestEnds:
         done = run("ippo", "", "--env", "own:quits", "--run-dir", tmp_path / "run")
         assert done.returncode == 2 and "own:quits: its code ends the program (" in done.stderr
 
+    @pytest.mark.slow
     def test_a_signal_that_a_game_takes_is_taken_back(self, tmp_path: Path) -> None:
         flags = ["--total-timesteps", 10**7, "--run-dir", tmp_path / "run"]
         with programs.start(command("ippo", "deaf", *flags)) as process:

@@ -320,7 +320,8 @@ class Reseeds(Painted):
         self.now("made")
 
     def now(self, when: str) -> None:
-        seeds = {"random": random.seed, "numpy": np.random.seed, "torch": sys.modules["torch"].manual_seed}
+        torch = sys.modules["torch"].default_generator  # torch.manual_seed looks at every device's, too: milliseconds
+        seeds = {"random": random.seed, "numpy": np.random.seed, "torch": torch.manual_seed}
         for what in self.what.split() if when in self.when.split() else ():
             seeds[what](0)
 
