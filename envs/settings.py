@@ -22,17 +22,11 @@ class Settings(NamedTuple):
     errors: dict[str, Any] | None = None  # what NumPy does where numbers overflow, for example
 
     @classmethod
-    def now(cls, quick: bool = False) -> Settings:
-        """Those that hold. quick: only the first two, which take no time. None of PyTorch's where it is not used.
-
-        A working directory that was deleted is none.
-        """
-        torch: Any = sys.modules.get("torch")
-        used = torch is not None and hasattr(torch, "get_default_device")  # it is imported, to its end
-        found = cls(torch.get_default_dtype(), torch.is_grad_enabled()) if used else cls()
-        if quick:
-            return found
-        if used:
+    def now(cls) -> Settings:
+        """Those that hold. None of PyTorch's where it is not used. A working directory that was deleted is none."""
+        found = cls(*torch_modes())
+        if found.dtype is not None:
+            torch: Any = sys.modules["torch"]
             found = found._replace(device=str(torch.get_default_device()), threads=torch.get_num_threads())
         folder = None
         with contextlib.suppress(FileNotFoundError):
@@ -61,6 +55,14 @@ class Settings(NamedTuple):
         """The names of the settings that are not these."""
         pairs = zip(self._fields, self, now)
         return [name for name, here, there in pairs if here != there and None not in (here, there)]
+
+
+def torch_modes() -> tuple[Any, bool | None]:
+    """PyTorch's type of new tensors, and whether it makes gradients, which take no time; None where it is not used."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not hasattr(torch, "get_default_device"):  # it is imported, to its end
+        return None, None
+    return torch.get_default_dtype(), torch.is_grad_enabled()
 
 
 @contextlib.contextmanager

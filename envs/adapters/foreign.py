@@ -68,9 +68,9 @@ from envs import vector
 from envs.adapters.actions import Actions
 from envs.adapters.observations import flattened
 from envs.faults import in_words, is_ours, place
-from envs.settings import Settings, no_arguments
+from envs.settings import Settings, no_arguments, torch_modes
 from envs.vector import RESULT_COLUMNS, InputError
-from envs.workers import NO_MAIN, Games, close
+from envs.workers import NO_MAIN, Games, close, hidden_main
 
 # Where environments keep the number of steps after which they end an episode
 CLOCKS = ("max_cycles", "max_steps", "max_episode_steps", "_max_episode_steps", "episode_limit")
@@ -130,7 +130,6 @@ class Game:
         self.name, self.flatten_images, self.divide_images = source.name, source.flatten_images, source.divide_images
         self.own = Settings.now()  # the game's, while its code runs
         self.same = True  # whether they are ours
-        self.has_settings = False  # whether others than PyTorch's first two are its own
         with self.told("when it is built"):
             self.env = self.build(source, {})
         metadata = getattr(self.env, "metadata", None)
@@ -182,6 +181,7 @@ class Game:
         teams = self.teams()
         if teams is not None and (len(teams) != self.n_agents or 0 not in teams):
             raise InputError(f"{self.name}: its teams {teams} are not a number for each agent, from 0 on.")
+        self.team = [agent for agent in range(self.n_agents) if teams is None or teams[agent] == 0]
 
         self.own_clock = self.find_clock()
         self.clock = source.max_episode_steps or self.own_clock
@@ -245,31 +245,49 @@ class Game:
 
         Where the game has settings of its own, they hold here.
         """
-        quick = where == "in step" and not self.has_settings
-        ours = Settings.now(quick)
-        if not quick:
-            self.ours = ours
+        self.ours = ours = Settings.now()
         self.own.hold(ours)
-        main = sys.modules["__main__"]
-        sys.modules["__main__"] = NO_MAIN  # the game may start a process; as `hidden_main`, in less time
         try:
-            yield
+            with hidden_main():  # the game may start a process
+                yield
         except BaseException as error:
             self.blame(where, error)
             raise
         finally:
-            sys.modules["__main__"] = main
-            self.own = Settings.now(quick)
+            self.own = Settings.now()
             self.same = self.own == ours
-            self.has_settings = bool(ours.changed(self.own)) and not quick
             ours.hold(self.own)
 
-    def look_again(self) -> None:
-        """Looks, at the end of an episode, for all settings that the game has made in a step: they are its own, too."""
+    def env_step(self, actions: Any) -> Any:
+        """The game's step, as in `told`, but in little time where its settings are ours.
+
+        Of these each step looks at PyTorch's first two alone, and `look_again` at the others.
+        """
+        before = torch_modes()
+        if not self.same or before != self.own[:2]:
+            with self.told("in step"):
+                return self.env.step(actions)
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = NO_MAIN
+        try:
+            return self.env.step(actions)
+        except BaseException as error:
+            self.blame("in step", error)
+            raise
+        finally:
+            sys.modules["__main__"] = main
+            if torch_modes() != before:
+                self.look_again(before)
+
+    def look_again(self, modes: tuple[Any, Any]) -> None:
+        """Looks for all settings that the game has made in its steps: they are its own, too.
+
+        modes: PyTorch's first two, as they are ours.
+        """
         now = Settings.now()
-        ours = self.ours._replace(dtype=now.dtype, gradients=now.gradients)  # each step has looked at these
+        ours = self.ours._replace(dtype=modes[0], gradients=modes[1])
         if now != ours:
-            self.own, self.has_settings = now, True
+            self.own, self.same = now, False
             ours.hold(now)
 
     def blame(self, where: str, error: BaseException) -> None:
@@ -313,8 +331,8 @@ class Game:
         """The contract's arrays. seen, masks: of each agent; None if it has left, or if there is no mask."""
         if self.steps == 0:
             self.masked.clear()
-        if terminated or truncated:
-            self.look_again()
+        if self.same and (terminated or truncated):
+            self.look_again(torch_modes())
         observations = np.zeros((self.n_agents, self.obs_size), np.float32)
         action_mask = np.zeros((self.n_agents, max(self.choices)), np.bool_)
         for i, observation in enumerate(seen):
@@ -359,11 +377,15 @@ class Game:
             choices = self.choices[agent]
             raise InputError(f"{self.name}: agent {agent} has {choices} actions and the action mask {mask}.") from None
 
+    @functools.cached_property
+    def state_function(self) -> Callable[[], Any] | None:
+        """The environment's function of that name, if it has one; wrappers take a while to look for it."""
+        found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
+        return next((each for each in found if callable(each)), None)
+
     def state(self) -> NDArray[np.float32] | None:
         """What the environment calls its state, as a vector; None if it has none, or an image that is not wanted."""
-        found = [getattr(env, "state", None) for env in (self.env, self.env.unwrapped)]
-        function = next((each for each in found if callable(each)), None)
-        said = None
+        said, function = None, self.state_function
         with contextlib.nullcontext() if self.same else self.told("in state"):
             try:
                 said = None if function is None else function()
@@ -395,6 +417,8 @@ class Game:
 
     def number(self, reward: Any) -> float:
         """A reward, which may be an array of one value. Raises InputError for anything else."""
+        if isinstance(reward, float):  # also NumPy's usual ones
+            return float(reward)
         with contextlib.suppress(TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that has a gradient
             given = np.asarray(reward)
             if given.dtype.kind in "biufO":  # NumPy makes numbers of texts and complex numbers, too
@@ -403,8 +427,7 @@ class Game:
 
     def sum_over_team(self, agent_rewards: list[float]) -> float:
         """The reward of team 0."""
-        teams = self.teams() or (0,) * self.n_agents
-        return float(sum(reward for reward, team in zip(agent_rewards, teams) if team == 0))
+        return float(sum(agent_rewards[agent] for agent in self.team))
 
     def check_clock(self) -> None:
         """Raises InputError where an environment goes on longer than it seemed to say."""
@@ -617,8 +640,7 @@ class ParallelGame(Game):
         """See `Game`."""
         choices = zip(self.agents, self.actions, actions)
         chosen = {agent: own[action] for agent, own, action in choices if agent in self.playing}
-        with self.told("in step"):
-            result = self.env.step(chosen)
+        result = self.env_step(chosen)
         observations, rewards, terminations, truncations, infos = self.returned("step", result, (Mapping,) * 5)
         self.steps += 1
         left = {agent for flags in (terminations, truncations) for agent in flags if flags[agent]}
@@ -640,8 +662,7 @@ class ParallelGame(Game):
 
     def statistics(self, infos: Mapping[str, Any]) -> dict[str, float]:
         """The mean over team 0 of each number in the agents' infos."""
-        teams = self.teams() or (0,) * self.n_agents
-        own = [reported(infos.get(agent) or {}) for agent, team in zip(self.agents, teams) if team == 0]
+        own = [reported(infos.get(self.agents[agent]) or {}) for agent in self.team]
         names = dict.fromkeys(name for each in own for name in each)
         return {name: float(np.mean([each[name] for each in own if name in each])) for name in names}
 
@@ -717,8 +738,7 @@ class TupleGame(Game):
     def step(self, actions: list[int]) -> Outcome:
         """See `Game`."""
         chosen = tuple(own[action] for own, action in zip(self.actions, actions))
-        with self.told("in step"):
-            result = self.env.step(chosen[0] if self.one_agent else chosen)
+        result = self.env_step(chosen[0] if self.one_agent else chosen)
         observations, rewards, ends, time_outs, info = self.returned("step", result, (*(object,) * 4, Mapping))
         self.steps += 1
         for flags in (ends, time_outs):
