@@ -126,12 +126,12 @@ class Report:
         for sharing, words in plots.SHARING.items():
             absent = [title for name, title in PAPER_FAMILIES.items() if (name, sharing) not in there]
             nothing += [f"{words} of {', '.join(absent)}"] if absent else []
-        runs = cells.clip(upper=PAPER_SEEDS)
+        counted = cells.clip(upper=PAPER_SEEDS)
         parts = [
             f"The paper's tables have {PAPER_RUNS // PAPER_SEEDS} cells of five runs each, {PAPER_RUNS:,} in all. Of "
             f"these cells {len(cells) - len(stand_ins)} were run here, with "
-            f"{runs.sum() - runs[stand_ins.index].sum()} runs; {len(stand_ins)} more, with "
-            f"{runs[stand_ins.index].sum()} runs, are of games that stand in for SMAC's."
+            f"{counted.sum() - counted[stand_ins.index].sum()} runs; {len(stand_ins)} more, with "
+            f"{counted[stand_ins.index].sum()} runs, are of games that stand in for SMAC's."
         ]
         return " ".join([*parts, *([f"Nothing was run {'; '.join(nothing)}."] if nothing else [])])
 
@@ -309,11 +309,11 @@ class Report:
 
     def cpu_sentence(self) -> str:
         """What all runs took together, beside the paper's."""
-        total, runs = self.hours["total"].sum(), int(self.hours["runs"].sum())
+        total, number = self.hours["total"].sum(), int(self.hours["runs"].sum())
         return (
-            f"These {runs} runs, those with default flags, took {total:,.1f} CPU hours, {total / runs:.2f} a run. The "
-            f"paper's {PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in SMAC "
-            "had five cores each."
+            f"These {number} runs, those with default flags, took {total:,.1f} CPU hours, {total / number:.2f} a run. "
+            f"The paper's {PAPER_RUNS:,} took {PAPER_CPU_HOURS:,}, {PAPER_CPU_HOURS / PAPER_RUNS:.0f} a run; those in "
+            "SMAC had five cores each."
         )
 
     def speed_table(self) -> str:
@@ -533,8 +533,8 @@ def marl_eval(evaluations: pd.DataFrame) -> dict:
             for row in run.itertuples()
         }
         steps["absolute_metrics"] = {"return": [run["return_mean"].max()]}
-        runs = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{sharing}", {})
-        runs[f"seed_{seed}"] = steps
+        seeds = made.setdefault(family, {}).setdefault(task, {}).setdefault(f"{algorithm}_{sharing}", {})
+        seeds[f"seed_{seed}"] = steps
     return made
 
 
