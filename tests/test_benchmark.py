@@ -502,6 +502,19 @@ class TestKills:
         assert len(errors) > 6
 
 
+def test_a_campaign_reads_a_run_once(monkeypatch, tmp_path):
+    """What it judges is what it collects, whatever comes in between."""
+    directory, read, content_of = make_run(tmp_path / "run"), [], store.content_of
+
+    def noted(file):
+        read.append(file.relative_to(tmp_path).parts[0])
+        return content_of(file)
+
+    monkeypatch.setattr(store, "content_of", noted)
+    assert store.bring_in(run_of(directory), tmp_path / "results") == "in the results"
+    assert read.count("run") == 1
+
+
 def test_two_collectors_at_once_lose_no_seed(monkeypatch, tmp_path):
     """They meet between reading the results and writing them, if nothing keeps the second one out."""
     barrier, merge = threading.Barrier(2), store.merge
