@@ -28,6 +28,7 @@ from envs.adapters.observations import flattened
 from envs.check import hints, problems
 from envs.settings import Settings
 
+SETTINGS = ["double", "no gradients", "folder", "raises"]  # that games make
 SHORT = ["--total-timesteps", "20", "--eval-points", "2", "--eval-episodes", "2", "--hidden-dim", "8"]
 
 
@@ -183,7 +184,7 @@ class TestClosing:
 class TestSettings:
     """Of the whole program: a game's hold while it plays, and ours outside."""
 
-    @pytest.mark.parametrize("what", ["double", "no gradients", "folder", "raises"])
+    @pytest.mark.parametrize("what", SETTINGS)
     @pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
     def test_they_are_the_games_own(self, what: str, workers: int) -> None:
         before = Settings.now()
@@ -191,7 +192,7 @@ class TestSettings:
         assert Settings.now() == before
         env.close()
 
-    @pytest.mark.parametrize("what", ["double", "no gradients", "folder", "raises"])
+    @pytest.mark.parametrize("what", SETTINGS)
     def test_also_where_a_step_sets_them(self, what: str) -> None:
         """Not all are looked at in each step, but all at the end of an episode."""
         before = Settings.now()
@@ -202,7 +203,7 @@ class TestSettings:
         assert Settings.now() == before
 
     @pytest.mark.parametrize("name", ["ippo", "iql"])
-    @pytest.mark.parametrize("what", ["double", "no gradients", "folder"])
+    @pytest.mark.parametrize("what", SETTINGS[:3])
     def test_a_run_goes_on_with_ours(self, tmp_path: Path, name: str, what: str) -> None:
         place = os.path.relpath(tmp_path / "run")
         done = run(name, "settles", "--env-kwargs", f"what={what!r}", "--run-dir", place)
@@ -465,7 +466,7 @@ WHOLE: list[tuple[str, str, list[str]]] = [  # games, their arguments and flags
     *(("varied", f"what={what!r}", []) for what in ("one agent", "fifty agents", "one step", "one action")),
     *(("varied", f"what={what!r}", []) for what in ("many actions", "large rewards", "no observation", "starts at 1")),
     *(("varied", f"what={what!r}", []) for what in ("prints", "forks")),
-    *(("settles", f"what={what!r}", []) for what in ("double", "no gradients", "folder", "raises")),
+    *(("settles", f"what={what!r}", []) for what in SETTINGS),
     *(("odd", f"what={what!r}", []) for what in ("items", "state", "text", "infos")),
     ("masked", "mask=([0, 1], [1, 0, 1]), nvec=[2, 3]", []),
     ("codes", "", ["--flatten-images", "--no-divide-images"]),
