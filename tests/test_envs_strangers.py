@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from importlib.metadata import distributions
 from pathlib import Path
 from types import SimpleNamespace
@@ -359,6 +360,11 @@ class TestWhatIsHandedOn:
     def test_numbers_and_names_that_results_cannot_have(self) -> None:
         env = play("hands", 5, env_kwargs={"what": "odd infos"})
         assert env.statistics == {"?": 1, "lost": 2}
+
+    def test_a_warning_that_is_an_error(self) -> None:
+        with warnings.catch_warnings(), pytest.raises(envs.InputError, match="`no_divide_images` leaves them"):
+            warnings.simplefilter("error")
+            play("codes", 5, flatten_images=True)
 
     def test_actions_are_numpys(self) -> None:
         assert play("odd", env_kwargs={"what": "items"}).rewards.tolist() == [0]

@@ -919,11 +919,10 @@ class Env(vector.VectorEnv):
             return
         self._images = None
         if 0 < self._brightest <= CODES:
-            warnings.warn(
+            warn(
                 f"{self.name}: its images are declared to have values up to 255, and in an episode none is above "
                 f"{self._brightest:.0f}. If these are codes, and not brightness, little is left of them when they are "
-                "divided by 255; `no_divide_images` leaves them.",
-                stacklevel=2,
+                "divided by 255; `no_divide_images` leaves them."
             )
 
     def _look_at_sides(self, rewards: NDArray[np.float32]) -> None:
@@ -933,12 +932,19 @@ class Env(vector.VectorEnv):
             return
         words = " and ".join(self.agent_names[side[0]] for side in self._sides)
         self._sides = []
-        warnings.warn(
+        warn(
             f"{self.name}: {words} do not earn the same, and the team's reward is the sum over all agents. If they "
             "oppose each other, give the environment an attribute `teams`, the number of each agent's team, such as "
-            "{'red_0': 0, 'blue_0': 1} (docs/how-to/use-pettingzoo-or-gymnasium.md).",
-            stacklevel=2,
+            "{'red_0': 0, 'blue_0': 1} (docs/how-to/use-pettingzoo-or-gymnasium.md)."
         )
+
+
+def warn(text: str) -> None:
+    """A warning. Raises InputError where the user, or a game, has made errors of warnings."""
+    try:
+        warnings.warn(text, stacklevel=3)
+    except UserWarning:
+        raise InputError(text) from None
 
 
 def kind_of(name: str) -> str:
