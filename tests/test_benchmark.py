@@ -502,6 +502,22 @@ class TestKills:
         assert len(errors) > 6
 
 
+def test_a_reader_that_meets_a_collector_reads_again(monkeypatch, tmp_path):
+    """A seed is replaced between the reading of its JSON and that of its CSV."""
+    there = tmp_path / "results"
+    store.collect(make_run(tmp_path / "old"), there)
+    read, waiting = store.read_settings, [make_run(tmp_path / "new", returns=(3.0, 4.0))]
+
+    def then_replaced(path):
+        settings = read(path)
+        if waiting:
+            store.collect(waiting.pop(), there, replace=True)
+        return settings
+
+    monkeypatch.setattr(store, "read_settings", then_replaced)
+    assert list(store.load(there)["return_mean"]) == [3.0, 4.0]
+
+
 def test_a_campaign_reads_a_run_once(monkeypatch, tmp_path):
     """What it judges is what it collects, whatever comes in between."""
     directory, read, content_of = make_run(tmp_path / "run"), [], store.content_of

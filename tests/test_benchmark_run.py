@@ -508,6 +508,18 @@ class TestRunning:
         assert list(work.waiting) == runs[1:]
         assert work.failed == {runs[0].directory: "its node was lost; it was lost 4 times"}
 
+    def test_a_run_is_asked_to_stop_once(self):
+        """A second signal might cut its checkpoint short."""
+        [run] = make_plan("ia2c", "matrix-climbing", seeds=1)
+        asked: list[Any] = []
+        unused: Any = None
+        work = campaigns.Campaign([run], Path("results"), unused, unused)
+        job: Any = SimpleNamespace(stop=lambda: asked.append(run))
+        work.jobs[run.directory] = run, job
+        work.stop_jobs()
+        work.stop_jobs()
+        assert asked == [run]
+
     def test_what_a_killed_campaign_on_a_cluster_left_counts(self, monkeypatch):
         """The last files of a run had come back, but were not in their places."""
         assert campaign(monkeypatch, "--seeds", 1, "--results", "elsewhere") == 0
