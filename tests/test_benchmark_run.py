@@ -282,13 +282,15 @@ class TestPlan:
             (["--", "--eval-points", "1"], "--eval-points must be 2 or more"),
             (["--grid", "nothing.csv"], "nothing.csv cannot be read"),
             (["--jobs", "0"], "must be positive"),
+            (["--jobs", "x"], "argument --jobs: invalid int value: 'x'; run.py --help lists what there is."),
             (["--seeds", "1", "2", "3"], "'2' belongs to no flag; --seeds is how many there are"),
             (["--plan", "nothing.csv"], "nothing.csv cannot be read"),
         ],
     )
     def test_wrong_input_is_named(self, monkeypatch, capsys, words, said):
         assert campaign(monkeypatch, *words) == 2
-        assert said in capsys.readouterr().err
+        (sentence,) = capsys.readouterr().err.splitlines()
+        assert said in sentence
         assert not Path("runs").exists()
 
     @pytest.mark.slow
@@ -552,6 +554,20 @@ class TestRunning:
         finally:
             job.process.kill()
             job.process.wait()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the runs go on")
+    def test_runs_end_with_a_killed_program(self, tmp_path):
+        """By itself this one would take minutes."""
+        process = psutil.Popen(driver(tmp_path, "--seeds", 1, "--", "--pace", "10"))
+        wait_for(lambda: [*Path("runs").rglob("lock")])
+        started = process.children()
+        process.kill()
+        process.wait()
+        try:
+            wait_for(lambda: not any(map(goes_on, started)))
+        finally:
+            for run in filter(goes_on, started):
+                run.kill()
 
     @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the runs go on")
     @pytest.mark.slow
