@@ -111,6 +111,7 @@ PAPERS = measures.paper_setting("mpe-tag")
 ANOTHER = {"env_kwargs": "opponent='0123456789abcdef'"}
 
 
+@pytest.mark.slow
 def test_the_papers_rows_are_of_runs_against_its_own_opponents(tmp_path):
     assert list(PAPERS) == ["env_kwargs"] and len(store.PAPER_OPPONENTS["mpe-tag"]) == 16
     for changed, returns in (({}, [0.0, 30.0]), (PAPERS, [0.0, 17.0]), (ANOTHER, [0.0, 99.0])):
@@ -131,6 +132,7 @@ def test_the_papers_rows_are_of_runs_against_its_own_opponents(tmp_path):
     assert not any("30.00" in figures for figures in verdicts.values())
 
 
+@pytest.mark.slow
 def test_without_such_runs_the_papers_rows_are_compared_with_nothing(tmp_path):
     for name in ("ia2c", "mappo"):
         write_runs(tmp_path, "mpe-adversary", name, {}, [0.0, 12.0])
@@ -160,6 +162,7 @@ def test_two_values_at_the_games_bound_are_not_counted():
     assert agreement.is_trivial(cells(*rows)).tolist() == [True, False, False, False, False]
 
 
+@pytest.mark.slow
 def test_all_results_and_the_papers_lie_within_the_games_bounds(committed):
     """As far as five decimals."""
     paper = store.paper_cells()
@@ -170,6 +173,7 @@ def test_all_results_and_the_papers_lie_within_the_games_bounds(committed):
             assert values.between(low - 1e-5, high + 1e-5).all(), task
 
 
+@pytest.mark.slow
 def test_the_report_says_what_agrees(committed):
     """With seed 0 alone, with the planned seeds, and with all: each counted here from the evaluations of all runs."""
     said = committed.agreement()

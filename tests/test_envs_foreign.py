@@ -899,6 +899,7 @@ def test_episodes_larger_than_the_memory(
     assert len(said.strip().splitlines()) == 1 and not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_the_table_of_tasks() -> None:
     """It takes the flags that its sentences name."""
 

@@ -96,7 +96,7 @@ class TestClosing:
         words = file.read_text().split()
         return words.count("built") == words.count("closed") > 0
 
-    @pytest.mark.parametrize("name", ["ippo", "iql"])
+    @pytest.mark.parametrize("name", [pytest.param("ippo", marks=pytest.mark.slow), "iql"])
     def test_a_training_and_watching(self, file: Path, tmp_path: Path, name: str) -> None:
         flags = ["--env-kwargs", f"file={str(file)!r}"]
         done = run(name, "simulator", *flags, "--run-dir", tmp_path / "run")
@@ -576,6 +576,7 @@ class TestNames:
         said = refusal(f"namesake_{name}{how}")
         assert f"the name `{name}` is this project's, so a package of the game needs another one" in said
 
+    @pytest.mark.slow
     @pytest.mark.skipif(not list(distributions(name="marl-baselines")), reason="of an installation (pip install -e .)")
     @pytest.mark.parametrize("init", [True, False])
     def test_a_folder_envs_where_a_program_starts(self, tmp_path: Path, init: bool) -> None:
