@@ -249,9 +249,8 @@ class Scope:
     def like_the_highest(self, algorithm: str, names: tuple[str, ...]) -> Array:
         """Whether it is not significantly different from the highest of these."""
         own, highest = self.cell(algorithm), self.values(names).argmax(axis=0)
-        alike = [
-            ~self.different(own, self.cell(names[k])) & (highest == k) for k in np.flatnonzero(np.bincount(highest))
-        ]
+        where = {name: highest == k for k, name in enumerate(names)}
+        alike = [there & ~self.different(own, self.cell(name)) for name, there in where.items() if there.any()]
         return np.any(alike, axis=0)
 
     def sharing_means(self) -> Array:
