@@ -188,6 +188,8 @@ def wait_no_longer(before: set[threading.Thread], code: int) -> None:
     """Ends this program after some seconds, with its exit code, if it is still there."""
     time.sleep(PATIENCE)
     left = left_behind(before)
+    if not left:  # the last has just ended, and the program ends by itself
+        return
     number = f"{len(left)} threads or processes, such as {left[0].name}"
     print(f"Something that a game has started has not ended by itself: {number}.", file=sys.stderr)
     for process in multiprocessing.active_children():
