@@ -274,7 +274,7 @@ def test_the_failure_is_filmed(tmp_path):
     assert said.startswith("return_mean 50.000,") and (tmp_path / "team/film.gif").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_mappo_as_yu_et_al_use_it_learns(tmp_path):
     [_, compare, train] = commands(10)
     assert compare[0] == "diff" and all((ROOT / path).exists() for path in compare[1:])

@@ -283,9 +283,11 @@ def test_a_loaded_team_looks_at_what_it_is_given(gift: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, 200, 25))
+@pytest.mark.parametrize(
+    "first", [0, 25, *(pytest.param(first, marks=pytest.mark.nightly) for first in range(50, 200, 25))]
+)
 def test_malformed_gifts(good: Path, made_once: Callable[..., Path], tmp_path: Path, first: int) -> None:
-    """Two hundred, by tests/fuzz.py, of three algorithms and two kinds of folders."""
+    """Fifty, and two hundred at night, by tests/fuzz.py, of three algorithms and two kinds of folders."""
 
     def collect(folder: Path) -> None:
         shutil.copytree(good, folder / "mappo")
