@@ -492,25 +492,24 @@ def standardised() -> None:
 
 
 def flight(directory: str = "") -> None:
-    """IPPO on smaclite-2s_vs_1sc-sc2: when our teams stayed away from the enemy until the battle's last step, which a
-    return of 0 tells, beside the paper's values. Or, for the directory of such a run, what its critics say of that."""
+    """IPPO on smaclite-2s_vs_1sc-sc2 and COMA on smaclite-3s_vs_5z-sc2-v2: when our teams stayed away from the enemy
+    until the battle's last step, which a return of 0 tells, beside the paper's maximum and average. Or, for the
+    directory of such a run of IPPO, what its critics say of that."""
     if directory:
         print(value_of_flight(directory))
         return
-    for seed, points in table(report().shown, "smaclite-2s_vs_1sc-sc2", "ippo").groupby("seed"):
-        away = points[points["return_mean"] < 0.1]["timestep"] / 1e6
-        when = f", the first at {away.min():.0f}, the last at {away.max():.0f} million steps" if len(away) else ""
-        won = 100 * points.set_index("point").loc[1, "battle_won"]
-        print(
-            f"ippo, seed {seed}: {won:.0f} % of the battles won at 1 million steps; return below 0.1 at {len(away)} of "
-            f"{len(points)} points{when}; average {points['return_mean'].mean():.2f}, of the last ten "
-            f"{points['return_mean'][-10:].mean():.2f}"
-        )
-    for sharing, words in SHARING.items():
-        (maximum, error), (average, its_error) = (
-            paper(name)["smac-2s_vs_1sc", "ippo", sharing] for name in ("max_return", "average_return")
-        )
-        print(f"the paper, {words}: maximum {maximum:.2f} ± {error:.2f}, average {average:.2f} ± {its_error:.2f}")
+    for name, rules, algorithm in (("2s_vs_1sc", "sc2", "ippo"), ("3s_vs_5z", "sc2-v2", "coma")):
+        for seed, points in table(report().shown, f"smaclite-{name}-{rules}", algorithm).groupby("seed"):
+            away = points[points["return_mean"] < 0.1]["timestep"] / 1e6
+            when = f", the first at {away.min():.0f}, the last at {away.max():.0f} million steps" if len(away) else ""
+            won = 100 * points.set_index("point").loc[1, "battle_won"]
+            print(
+                f"{algorithm} on {name}, seed {seed}: {won:.0f} % of the battles won at 1 million steps; return below "
+                f"0.1 at {len(away)} of {len(points)} points{when}; average {points['return_mean'].mean():.2f}, of the "
+                f"last ten {points['return_mean'][-10:].mean():.2f}"
+            )
+        for sharing, words in SHARING.items():
+            print(f"{papers(f'smac-{name}', algorithm, sharing)}, {words}")
 
 
 def value_of_flight(directory: str) -> str:
@@ -544,14 +543,14 @@ def value_of_flight(directory: str) -> str:
 
 
 def certain() -> None:
-    """COMA in the battles: what it earns beside the paper's and beside a scripted team that attacks the nearest enemy;
-    and how it does on smaclite-3s5z-sc2 without standardised rewards."""
+    """COMA in the battles: what it earns beside the paper's and beside a scripted team that attacks the nearest enemy.
+    How it does on smaclite-3s5z-sc2-v2 without standardised rewards, and how IA2C and MAA2C do there."""
     import battles
 
     import envs
 
-    for name in ("2s_vs_1sc", "3s_vs_5z", "3s5z"):
-        task = f"smaclite-{name}-sc2"
+    for name, rules in (("2s_vs_1sc", "sc2"), ("3s_vs_5z", "sc2-v2"), ("3s5z", "sc2-v2")):
+        task = f"smaclite-{name}-{rules}"
         curve = table(report().shown, task, "coma").sort_values("point")
         env: Any = envs.make(task, 100, seed=0)
         played = battles.play(env, battles.attack_nearest)
@@ -562,13 +561,22 @@ def certain() -> None:
             f"{papers(f'smac-{name}', 'coma')}, won {100 * share:.0f} ± {100 * error:.0f} %; "
             f"a team that attacks the nearest {played['return'].mean():.2f}"
         )
-    plain = table(report().evaluations, "smaclite-3s5z-sc2", "coma")
+    task = "smaclite-3s5z-sc2-v2"
+    plain = table(report().evaluations, task, "coma")
     changed = {"eval_points": 6, "reward_standardisation": False, "total_timesteps": 5_000_000}
     last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
     print(
-        f"smaclite-3s5z-sc2, coma, not standardised, after 5 million steps: return {last['return_mean']:.2f}, "
+        f"{task}, coma, not standardised, after 5 million steps: return {last['return_mean']:.2f}, "
         f"{100 * last['battle_won']:.0f} % of the battles won"
     )
+    for algorithm in ("ia2c", "maa2c"):
+        curve = table(report().shown, task, algorithm).sort_values("point")
+        win = curve["battle_won"].to_numpy() >= 0.9
+        print(
+            f"{task}, {algorithm}: {beside_the_paper(report().shown, task, algorithm)}; "
+            f"{papers('smac-3s5z', algorithm)}; at least 90 % of the battles won at {win[1:21].sum()} of the first "
+            f"20 points after the start, and at {win[21:].sum()} of the last 20"
+        )
 
 
 def fall(file: str = "") -> None:
