@@ -287,7 +287,7 @@ def test_a_loaded_team_looks_at_what_it_is_given(gift: Path) -> None:
     "first", [0, 25, *(pytest.param(first, marks=pytest.mark.nightly) for first in range(50, 200, 25))]
 )
 def test_malformed_gifts(good: Path, made_once: Callable[..., Path], tmp_path: Path, first: int) -> None:
-    """Fifty, and two hundred at night, by tests/fuzz.py, of three algorithms and two kinds of folders."""
+    """Fifty, and at night 150 others, by tests/fuzz.py, of three algorithms and two kinds of folders."""
 
     def collect(folder: Path) -> None:
         shutil.copytree(good, folder / "mappo")
