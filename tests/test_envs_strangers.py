@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from importlib.metadata import distributions
@@ -25,6 +26,7 @@ from scripts import ROOT
 from scripts import main as script_main
 
 import envs.__main__
+from envs import workers
 from envs.adapters.observations import flattened
 from envs.check import hints, problems
 from envs.settings import Settings
@@ -165,6 +167,13 @@ class TestClosing:
         """It does not keep a program from its end, nor from its exit code."""
         done = run("ippo", "lingers", "--env-kwargs", f"what={what!r}", "--run-dir", tmp_path / "run")
         assert done.returncode == 0 and "has started has not ended by itself: " in done.stderr.splitlines()[-1]
+
+    def test_what_ends_in_time_is_not_named(self, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+        """A thread of a game that ends just before the program would be ended: the program ends by itself."""
+        monkeypatch.setattr(workers, "PATIENCE", 0)
+        monkeypatch.setattr(os, "_exit", lambda _: pytest.fail("the program was ended"))
+        workers.wait_no_longer({*threading.enumerate()}, 1)
+        assert capsys.readouterr().err == ""
 
     @pytest.mark.parametrize("how", ["exit", "close"])
     def test_check_says_how_an_own_environment_ends(self, how: str) -> None:
