@@ -110,6 +110,22 @@ def attack_eps20(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
     return np.where(at_random, random(env, rng), attack_nearest(env, rng))
 
 
+def wait_at(x: float, y: float) -> Policy:
+    """Walk to that place and stay there; attack the nearest enemy among those that may be attacked."""
+
+    def act(env: Env, rng: np.random.Generator) -> NDArray[np.int64]:
+        actions = attack_nearest(env, rng)
+        for i in range(env.n_agents):
+            mask = env.action_mask[:, i]
+            across, up = x - env.game.unit.x[:, i], y - env.game.unit.y[:, i]
+            steps = np.where(across**2 + up**2 < 1, STOP, walk(mask, across, up))
+            idle = mask[:, STOP] & ~mask[:, ATTACK:].any(axis=1)
+            actions[:, i] = np.where(idle, steps, actions[:, i])
+        return actions
+
+    return act
+
+
 def kite(env: Env, rng: np.random.Generator, too_near: float = 2.5) -> NDArray[np.int64]:
     """Shoot, and run while the weapon cools down; for maps on which everybody shoots and nobody flies."""
     unit, n_allies = env.game.unit, env.n_agents

@@ -4,6 +4,7 @@
     python tools/paper_run_again.py probes [<the paper's adversary>.npz <the paper's prey>.npz]
     python tools/paper_run_again.py words [<run directory of mpe-speaker-listener> ...]
     python tools/paper_run_again.py flight [<run directory of IPPO on smaclite-2s_vs_1sc-sc2>]
+    python tools/paper_run_again.py corridor [<run directory of IA2C on smaclite-corridor-sc2-v2>]
     python tools/paper_run_again.py fall [<an update of MAPPO that was saved as the page says>]
     python tools/paper_run_again.py page
 
@@ -30,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.stats import binomtest, fisher_exact, ttest_ind_from_stats
 from scipy.stats import f as f_distribution
 
@@ -452,27 +454,13 @@ def standardised() -> None:
     standardised by the mean and the standard deviation of the defeats' steps; and where QMIX ends with both."""
     import battles
 
-    import envs
-
-    rewards = {}
-    for name, policy in (("a short defeat", battles.attack_nearest), ("a long victory", battles.kite)):
-        env: Any = envs.make("smaclite-3s_vs_5z-sc2", 100, seed=0)
-        env.reset()
-        rng, steps, going = np.random.default_rng(0), [], np.ones(100, bool)
-        while going.any():
-            _, reward, terminated, truncated, _ = env.step(policy(env, rng))
-            steps.append(np.where(going, reward, np.nan))
-            going = ~(terminated | truncated)
-        rewards[name] = np.array(steps, float)  # [time, battle], NaN after the end
-    played = rewards["a short defeat"][~np.isnan(rewards["a short defeat"])]
-    for name, x in rewards.items():
-        discount = 0.99 ** np.arange(len(x))[:, None]
-        worth = [np.nansum(discount * y, axis=0).mean() for y in (x, (x - played.mean()) / played.std(ddof=1))]
-        print(
-            f"{name}: return {np.nansum(x, axis=0).mean():.1f} in {(~np.isnan(x)).sum(axis=0).mean():.0f} steps, "
-            f"discounted {worth[0]:.1f}, standardised and discounted {worth[1]:.1f}"
-        )
-    curve = table(report().shown, "smaclite-3s_vs_5z-sc2", "qmix")
+    task = "smaclite-3s_vs_5z-sc2"
+    rewards = {
+        "a short defeat": rewards_of_battles(task, battles.attack_nearest),
+        "a long victory": rewards_of_battles(task, battles.kite),
+    }
+    print_worth(rewards, "a short defeat")
+    curve = table(report().shown, task, "qmix")
     curve = curve[curve["seed"] == 0]
     last = curve.sort_values("point").iloc[-1]
     print(
@@ -481,7 +469,7 @@ def standardised() -> None:
         end="",
     )
     print("the paper's best {:.2f} ± {:.2f}".format(*paper("max_return")["smac-3s_vs_5z", "qmix", SHARED]))
-    plain = table(report().evaluations, "smaclite-3s_vs_5z-sc2", "qmix")
+    plain = table(report().evaluations, task, "qmix")
     changed = {"reward_standardisation": False, "total_timesteps": 400_000}
     last = plain[plain["setting"] == setting_name(changed)].sort_values("point").iloc[-1]
     print(
@@ -489,6 +477,32 @@ def standardised() -> None:
         f"{last['episode_length']:.0f} steps, {last['dead_allies']:.1f} of its 3 units dead, "
         f"{100 * last['battle_won']:.0f} % of the battles won"
     )
+
+
+def rewards_of_battles(task: str, policy: Any) -> NDArray[np.float64]:
+    """A scripted team's rewards [time, battle] in 100 battles, NaN after a battle's end."""
+    import envs
+
+    env: Any = envs.make(task, 100, seed=0)
+    env.reset()
+    rng, steps, going = np.random.default_rng(0), [], np.ones(100, bool)
+    while going.any():
+        _, reward, terminated, truncated, _ = env.step(policy(env, rng))
+        steps.append(np.where(going, reward, np.nan))
+        going = ~(terminated | truncated)
+    return np.array(steps, float)
+
+
+def print_worth(rewards: dict[str, NDArray[np.float64]], measure: str) -> None:
+    """What teams earn, from their rewards [time, battle]: as they are, and standardised by one team's steps."""
+    played = rewards[measure][~np.isnan(rewards[measure])]
+    for name, x in rewards.items():
+        discount = 0.99 ** np.arange(len(x))[:, None]
+        worth = [np.nansum(discount * y, axis=0).mean() for y in (x, (x - played.mean()) / played.std(ddof=1))]
+        print(
+            f"{name}: return {np.nansum(x, axis=0).mean():.1f} in {(~np.isnan(x)).sum(axis=0).mean():.0f} steps, "
+            f"discounted {worth[0]:.1f}, standardised and discounted {worth[1]:.1f}"
+        )
 
 
 def flight(directory: str = "") -> None:
@@ -577,6 +591,60 @@ def certain() -> None:
             f"{papers('smac-3s5z', algorithm)}; at least 90 % of the battles won at {win[1:21].sum()} of the first "
             f"20 points after the start, and at {win[21:].sum()} of the last 20"
         )
+
+
+def corridor(directory: str = "") -> None:
+    """smaclite-corridor-sc2-v2: what IA2C and MAA2C learn, with and without standardised rewards, beside the paper's.
+    And what two scripted teams earn there; with a directory of IA2C, by the measure of that team's rewards."""
+    import battles
+
+    import envs
+
+    task = "smaclite-corridor-sc2-v2"
+    scripted = {
+        "a team that attacks the nearest": battles.attack_nearest,
+        "a team that waits": battles.wait_at(14.5, 19),
+    }
+    if directory:
+        rewards = {name: rewards_of_battles(task, policy) for name, policy in scripted.items()}
+        print_worth({"IA2C's team": rewards_of_ia2c(directory)} | rewards, "IA2C's team")
+        return
+    changed = {"eval_points": 4, "reward_standardisation": False, "total_timesteps": 3_000_000}
+    for algorithm in ("ia2c", "maa2c"):
+        curve = table(report().shown, task, algorithm)
+        plain = table(report().evaluations, task, algorithm)
+        plain = plain[plain["setting"] == setting_name(changed)]
+        share, error = paper("max_win_rate")["smac-corridor", algorithm, SHARED]
+        print(
+            f"{algorithm}: {beside_the_paper(report().shown, task, algorithm)}, at best "
+            f"{100 * curve['battle_won'].max():.0f} % of the battles won; {papers('smac-corridor', algorithm)}, won "
+            f"{100 * share:.0f} ± {100 * error:.0f} %"
+        )
+        for each, runs in (("standardised", curve), ("not standardised", plain)):
+            there = runs[runs["timestep"] < 3_100_000].sort_values("point").iloc[-1]
+            print(
+                f"{algorithm}, {each}, after 3 million steps: return {there['return_mean']:.2f} in "
+                f"{there['episode_length']:.0f} steps"
+            )
+    for name, policy in scripted.items():
+        env: Any = envs.make(task, 100, seed=0)
+        played = battles.play(env, policy)
+        print(
+            f"{name}: return {played['return'].mean():.2f} in {played['length'].mean():.0f} steps, "
+            f"{100 * played['win'].mean():.0f} % of the battles won"
+        )
+
+
+def rewards_of_ia2c(directory: str) -> NDArray[np.float64]:
+    """Rewards [time, battle] of a team of IA2C in 100 battles, NaN after a battle's end."""
+    import ia2c
+
+    from envs import runs
+
+    args = ia2c.Args(**runs.read_checkpoint(directory, "ia2c")["config"]["flags"])
+    env = runs.make_for(args, 100, 0)
+    batch, _ = ia2c.collect(args, env, ia2c.load(directory), ia2c.new_storage(args, env))
+    return np.where(batch.played, batch.rewards[..., 0], np.nan)
 
 
 def fall(file: str = "") -> None:
@@ -675,7 +743,7 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(departures, new_seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged),
-        *(padding, ends, standardised, opponents, unshared, probes, words, flight, certain, fall, parted),
+        *(padding, ends, standardised, opponents, unshared, probes, words, flight, certain, corridor, fall, parted),
     )
 }
 
@@ -701,7 +769,7 @@ if __name__ == "__main__":
     if (
         len(sys.argv) < 2
         or sys.argv[1] not in PARTS
-        or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "words", "flight", "fall"))
+        or (len(sys.argv) > 2 and sys.argv[1] not in ("probes", "words", "flight", "corridor", "fall"))
     ):
         sys.exit(__doc__)
     PARTS[sys.argv[1]](*sys.argv[2:])
