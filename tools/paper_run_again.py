@@ -594,8 +594,9 @@ def certain() -> None:
 
 
 def corridor(directory: str = "") -> None:
-    """smaclite-corridor-sc2-v2: what IA2C and MAA2C learn, with and without standardised rewards, beside the paper's.
-    And what two scripted teams earn there; with a directory of IA2C, by the measure of that team's rewards."""
+    """smaclite-corridor-sc2-v2: what IA2C and MAA2C learn, with and without standardised rewards, beside the paper's,
+    and what two scripted teams earn. Or, for the run directory of IA2C, what its team and these two earn when rewards
+    are standardised as its own."""
     import battles
 
     import envs
