@@ -467,8 +467,9 @@ paper's seeds and within the bounds of each game. "Holds in": in what share of t
 the standard error of this share, and in what share cells that do not exist decide. A claim holds, or does not, where
 95 % of the tables say so, by more than this error. Else it is too close to call; or not measured, if cells that do not
 exist could still decide it. "Without stand-ins": the same without the tasks `smaclite-...`, which stand in for
-SMAC's and are not the same games. The last column says on which cells a verdict rests, and what one seed more of each
-would cost."""
+SMAC's and are not the same games. "Our figures": yes and no say what holds in most of the completed tables, and the
+numbers in brackets are as measured. So a "no" may stand beside a number that says yes by little. The last column says
+on which cells a verdict rests, and what one seed more of each would cost."""
 
 
 def paragraphs(parts: list[str]) -> str:
