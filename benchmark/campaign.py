@@ -182,13 +182,14 @@ class Campaign:
 
     def finish(self, run: PlannedRun, code: int, lost: bool) -> None:
         """A job has ended. ValueError where its files are damaged."""
+        used = in_use(run.directory)  # asked first: whoever holds it may complete the run meanwhile, and let go
         if store.bring_in(run, self.results) == "in the results":
             self.count(run)
         elif lost:
             self.try_again(run, "its node was lost")
         elif code in (-signal.SIGKILL, KILLED):
             self.try_again(run, "it was killed, perhaps out of memory")
-        elif in_use(run.directory):
+        elif used:
             self.elsewhere.append(run)
         elif code in STOPPED:
             run.log.unlink(missing_ok=True)

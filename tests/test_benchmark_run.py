@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BENCHMARK = ROOT / "benchmark"
 
 STAND_IN = """
-import argparse, json, os, signal, sys, time, zipfile
+import argparse, json, os, signal, sys, tempfile, time, zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -119,7 +119,7 @@ def main():
     directory = Path(args.run_dir)
     directory.mkdir(parents=True, exist_ok=True)
     try:
-        lock = filelock.FileLock(directory / "lock").acquire(timeout=0)
+        lock = filelock.FileLock(directory / "lock").acquire(timeout=1)
     except filelock.Timeout:
         sys.exit(print(f"{directory} is in use.", file=sys.stderr) or 2)
     killed = directory.with_name("killed")
@@ -156,6 +156,8 @@ def main():
         if args.trouble == "killed" or (args.trouble == "killed once" and rows[1:] and not killed.exists()):
             killed.touch()
             os.kill(os.getpid(), signal.SIGKILL)
+        while args.trouble == "waits" and timestep == 30 and Path(tempfile.gettempdir(), "wait").exists():
+            time.sleep(0.01)
         time.sleep(args.pace)
         timestep += 1
     (directory / "replay.bin").unlink(missing_ok=True)
@@ -778,6 +780,19 @@ class TestTwoCampaigns:
         assert seeds_of("ia2c-shared-pace=0.01") == dict.fromkeys(range(6), 20.0)
         assert "failed" not in "".join(said) and not list(Path("runs").rglob("log-*"))
 
+    def test_the_other_ends_while_the_run_is_looked_at(self, monkeypatch, tmp_path):
+        run, lock = plan_of(tmp_path), campaigns.filelock.FileLock(tmp_path / "lock")
+        lock.acquire()
+
+        def ends(run, results):
+            lock.release()
+            return "begun"
+
+        monkeypatch.setattr(store, "bring_in", ends)
+        ours = campaigns.Campaign([run], tmp_path, campaigns.LocalJob, lambda: 1)
+        ours.finish(run, 2, lost=False)
+        assert ours.elsewhere == [run] and not ours.failed and not campaigns.in_use(tmp_path)
+
     def test_a_run_in_use_is_left_alone(self, monkeypatch, capsys):
         directory = folder_of(1)
         directory.mkdir(parents=True)
@@ -959,20 +974,25 @@ class TestRay:
         assert 0 == began[0] < began[1] < began[2] and seeds_of("iql-shared-pace=0.1") == {0: 20.0}
         assert not (stopped / "replay.bin").exists()
 
-        directories = [folder_of(seed, "ia2c-shared-pace=0.1") for seed in range(2)]
+        directories = [folder_of(seed, "ia2c-shared-trouble=waits") for seed in range(2)]
+        wait = Path(os.environ["TMPDIR"], "wait")
+        wait.touch()
 
         def kill():
-            while not all((directory / "checkpoint.previous.pt").exists() for directory in directories):
-                time.sleep(0.05)
-            machines.remove_node(second, allow_graceful=False)
+            try:
+                wait_for(lambda: all((directory / "checkpoint.previous.pt").exists() for directory in directories))
+                machines.remove_node(second, allow_graceful=False)
+                wait_for(lambda: [node["Alive"] for node in ray.nodes()].count(True) == 1)
+            finally:
+                wait.unlink()
 
         logs.clear()
         capsys.readouterr()
         killer = threading.Thread(target=kill)
         killer.start()
-        assert campaign(monkeypatch, "--ray", machines.address, "--seeds", 2, "--", "--pace", "0.1") == 0
+        assert campaign(monkeypatch, "--ray", machines.address, "--seeds", 2, "--", "--trouble", "waits") == 0
         killer.join()
-        assert seeds_of("ia2c-shared-pace=0.1") == {0: 20.0, 1: 20.0}
+        assert seeds_of("ia2c-shared-trouble=waits") == {0: 20.0, 1: 20.0}
         said = capsys.readouterr().err
         assert said.count("its node was lost; it goes on") == 1
         assert sorted(log.split()[2] == "0" for log in logs.values()) == [False, True]

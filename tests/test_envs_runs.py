@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -203,6 +204,13 @@ class TestDirectory:
             open_directory(tmp_path / "run", resume=True)
         first._lock.lock.release()
         open_directory(tmp_path / "run", resume=True)._lock.lock.release()
+
+    def test_who_holds_it_for_a_moment_is_waited_for(self, tmp_path: Path) -> None:
+        """As a campaign does that looks whether it is in use."""
+        lock = runs.directory.filelock.FileLock(tmp_path / "lock", thread_local=False)
+        lock.acquire()
+        threading.Timer(0.1, lock.release).start()
+        self.save(open_directory(tmp_path), self.rows)
 
     def test_seconds_add_up_and_never_run_backwards(self, monkeypatch: Any, tmp_path: Path) -> None:
         first = open_directory(tmp_path / "run")

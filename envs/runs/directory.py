@@ -275,7 +275,8 @@ class RunDirectory:
             if not args.resume and {*CHECKPOINTS[:2], ARRIVED, "evaluations.csv"} & set(found):
                 raise InputError(f"{path} holds a run: --resume goes on with it, another --run-dir begins a new one.")
             path.mkdir(parents=True, exist_ok=True)
-            self._lock = filelock.FileLock(path / "lock").acquire(timeout=0)
+            # It is waited for, since a campaign that looks whether a directory is in use holds it for a moment.
+            self._lock = filelock.FileLock(path / "lock").acquire(timeout=1)
             place_arrived(path)
         except filelock.Timeout:
             raise InputError(f"Another run is using {path}.") from None
