@@ -257,6 +257,28 @@ def test_the_paper_run_again():
         assert there.splitlines() == made.splitlines(), page
 
 
+@pytest.mark.slow
+def test_the_words_of_a_team(tmp_path):
+    """Of the run directory of any script: the return for each goal, and the shares of the three words there."""
+    flags = [
+        "--total-timesteps",
+        "500",
+        "--eval-points",
+        "1",
+        "--eval-episodes",
+        "2",
+        "--run-dir",
+        str(tmp_path / "run"),
+    ]
+    trained = run(str(ROOT / "algos/ia2c.py"), "--env", "mpe-speaker-listener", *flags, folder=tmp_path)
+    assert trained.returncode == 0, trained.stderr
+    done = run(str(ROOT / "tools/paper_run_again.py"), "words", str(tmp_path / "run"), folder=tmp_path)
+    assert re.match(r"ia2c: return -\d+\.\d; goal 1: ", done.stdout), done.stderr
+    for goal in done.stdout.split("; ")[1:]:
+        shares = [int(share) for share in re.findall(r"(\d+) %", goal)]
+        assert len(shares) == 3 and 98 < sum(shares) < 102  # each is rounded
+
+
 def test_the_test_that_was_planned_waits_for_all_its_seeds(monkeypatch, capsys):
     """Then it prints each seed's count and that of seeds 1 to 4, of seeds that are made up: the last is the lowest."""
     monkeypatch.syspath_prepend(ROOT / "tools")

@@ -42,7 +42,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark import agreement, claims, store, tables
 from benchmark.measures import interval, our_cells, paper_setting
-from benchmark.plan import script
+from benchmark.plan import ALGOS, script
 from benchmark.report import Report
 from benchmark.store import INDEPENDENT, PAPER_SEEDS, RESULTS, SHARED, paper_cells, setting_name
 
@@ -432,7 +432,7 @@ def spoken(directory: str) -> str:
     import envs
 
     name = json.loads((Path(directory) / "config.json").read_text(encoding="utf-8"))["algorithm"]
-    team = script(name).load(directory)
+    team = script(ALGOS / f"{name}.py").load(directory)
     env = envs.make("mpe-speaker-listener", 600)
     observations, info = env.reset(seed=1)
     goals = observations[:, 0, :3].argmax(axis=1)  # the speaker sees a colour, each brightest in one channel
