@@ -259,22 +259,15 @@ def test_the_paper_run_again():
 
 @pytest.mark.slow
 def test_the_words_of_a_team(tmp_path):
-    """Of the run directory of any script: the return for each goal, and the shares of the three words there."""
-    flags = [
-        "--total-timesteps",
-        "500",
-        "--eval-points",
-        "1",
-        "--eval-episodes",
-        "2",
-        "--run-dir",
-        str(tmp_path / "run"),
-    ]
-    trained = run(str(ROOT / "algos/ia2c.py"), "--env", "mpe-speaker-listener", *flags, folder=tmp_path)
+    """Of a run directory: what its team earns for each goal, and the shares of the three words there."""
+    flags = ["--env", "mpe-speaker-listener", "--total-timesteps", "500", "--eval-points", "1", "--eval-episodes", "2"]
+    trained = run(str(ROOT / "algos/ia2c.py"), *flags, "--run-dir", "run", folder=tmp_path)
     assert trained.returncode == 0, trained.stderr
-    done = run(str(ROOT / "tools/paper_run_again.py"), "words", str(tmp_path / "run"), folder=tmp_path)
+    done = run(str(ROOT / "tools/paper_run_again.py"), "words", "run", folder=tmp_path)
     assert re.match(r"ia2c: return -\d+\.\d; goal 1: ", done.stdout), done.stderr
-    for goal in done.stdout.split("; ")[1:]:
+    goals = done.stdout.split("; ")[1:]
+    assert len(goals) == 3
+    for goal in goals:
         shares = [int(share) for share in re.findall(r"(\d+) %", goal)]
         assert len(shares) == 3 and 98 < sum(shares) < 102  # each is rounded
 

@@ -364,18 +364,18 @@ def words(*directories: str) -> None:
         return
     for number in (1, 2, 3):
         print(f"a scripted listener, {number} of 3 words: {told(number):.1f}")
-    stayed: dict[str, list[bool]] = {}  # whether a seed was below -18 in the second half
+    slow = []  # for each seed of MAA2C and MAPPO, whether it was below -18 in the second half
     for algorithm in ("ia2c", "ippo", "maa2c", "mappo"):
         steps = table(report().shown, "mpe-speaker-listener", algorithm)
         for seed, curve in ours("mpe-speaker-listener", algorithm).items():
             below = curve.index[curve < -18]
             last = steps[(steps["seed"] == seed) & (steps["point"] == below[-1])]["timestep"].iloc[0]
-            stayed.setdefault(algorithm, []).append(last > 10e6)
+            if algorithm in ("maa2c", "mappo"):
+                slow.append(last > 10e6)
             print(
                 f"{algorithm}, seed {seed}: below -18 for the last time at {last / 1e6:.1f} million steps; "
                 f"the last ten points {curve[-10:].mean():.1f}"
             )
-    slow = [*stayed["maa2c"], *stayed["mappo"]]
     p = fisher_exact([[sum(slow), len(slow) - sum(slow)], [0, 2 * PAPER_SEEDS]]).pvalue
     print(
         f"maa2c and mappo: {sum(slow)} of {len(slow)} stayed for more than ten million steps; if none of the paper's "
