@@ -384,9 +384,43 @@ def words(*directories: str) -> None:
     for algorithm, sharing in (("maa2c", SHARED), ("mappo", SHARED), ("ia2c", INDEPENDENT)):
         print(f"{algorithm}, {SHARING[sharing]}: {with_more_seeds('mpe-speaker-listener', algorithm, sharing)}")
     for algorithm in ("ippo", "ia2c"):
-        mean, error = paper("max_return")["mpe-speaker-listener", algorithm, SHARED]
-        x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
-        print(f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}")
+        print(one_of_five("max_return", "mpe-speaker-listener", algorithm))
+
+
+def one_of_five(metric: str, task: str, algorithm: str) -> str:
+    """A cell of the paper with sharing, taken apart into four seeds that are equal and one that is lower."""
+    mean, error = paper(metric)[task, algorithm, SHARED]
+    x, y = mean + error / 2, mean - 2 * error  # (4 x + y) / 5 is the mean, 2 (x - y) / 5 the interval
+    return f"{algorithm}: the paper's {mean:.2f} ± {error:.2f} could be four seeds at {x:.1f} and one at {y:.1f}"
+
+
+def still() -> None:
+    """What teams earn on mpe-spread whose agents all take one action throughout, in 10,000 episodes; COMA's evaluations
+    beside them; and which five seeds the paper's COMA could be."""
+    import envs
+
+    def line(name: str, mean: float, deviation: float, contacts: float, occupied: float) -> None:
+        print(
+            f"{name}: return {mean:.0f} ± {deviation:.0f}; contacts {contacts:.2f}, occupied landmarks {occupied:.2f}"
+        )
+
+    env = envs.make("mpe-spread", 10_000)
+    for action, name in enumerate(("stand still", "go right", "go left", "go up", "go down")):
+        returns = np.zeros(env.num_envs)
+        env.reset(seed=1)
+        for _ in range(25):
+            _, rewards, _, _, info = env.step(np.full((env.num_envs, 3), action))
+            returns += rewards
+        contacts, occupied = (info["statistics"][part].mean() for part in ("contacts", "occupied_landmarks"))
+        line(f"all agents {name}", returns.mean(), returns.std(), contacts, occupied)
+    points = table(report().shown, "mpe-spread", "coma")
+    points = points[points["timestep"] >= 3e6]
+    steps = (points["timestep"] / 1e6).map("at {:.0f} million steps".format)
+    groups = points.groupby(steps.where(points["return_mean"] < -300, "its other points from 3 million steps on"))
+    means = groups[["return_mean", "return_std", "contacts", "occupied_landmarks"]].mean().sort_values("return_mean")
+    for name, figures in means.iterrows():
+        line(f"coma, seed 0, {name}", *figures)
+    print(one_of_five("average_return", "mpe-spread", "coma"))
 
 
 def with_more_seeds(task: str, algorithm: str, sharing: str) -> str:
@@ -747,7 +781,21 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(departures, new_seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged),
-        *(padding, ends, standardised, opponents, unshared, probes, words, flight, certain, corridor, fall, parted),
+        *(
+            padding,
+            ends,
+            standardised,
+            opponents,
+            unshared,
+            probes,
+            words,
+            still,
+            flight,
+            certain,
+            corridor,
+            fall,
+            parted,
+        ),
     )
 }
 
