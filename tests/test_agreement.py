@@ -202,11 +202,18 @@ def test_the_three_places_have_the_same_sentences(committed):
 
 def test_tables_by_family(committed):
     lines = [line.split(" | ") for line in committed.agreement_table().splitlines() if line.startswith("| ")]
-    [lbf] = [line for line in lines if line[0] == "| LBF, with parameter sharing"]
-    for column, metric in ((1, "average_return"), (4, "max_return")):
-        for place, cells in ((column, committed.counted_first), (column + 1, committed.counted_planned)):
-            agrees = cells.loc[(cells["family"] == "lbf") & (cells["metric"] == metric), "agrees"]
-            assert lbf[place] == agreement.numbers(agrees)
+    for row, family, sharing in (
+        ("| LBF, with parameter sharing", "lbf", store.SHARED),
+        ("| RWARE, with parameter sharing", "rware", store.SHARED),
+        ("| RWARE, without parameter sharing", "rware", store.INDEPENDENT),
+    ):
+        [found] = [line for line in lines if line[0] == row]
+        for column, metric in ((1, "average_return"), (4, "max_return")):
+            for place, cells in ((column, committed.counted_first), (column + 1, committed.counted_planned)):
+                chosen = cells[
+                    (cells["family"] == family) & (cells["sharing"] == sharing) & (cells["metric"] == metric)
+                ]
+                assert found[place] == agreement.numbers(chosen["agrees"])
     table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in committed.agreement_in_short().splitlines()]
     header, _, first, planned, others = table
     rware, column = "family == 'rware' and metric == 'average_return'", header.index("RWARE")

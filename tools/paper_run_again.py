@@ -781,21 +781,8 @@ PARTS: dict[str, Callable[..., None]] = {
     f.__name__: f
     for f in (
         *(departures, new_seeds, updates, causes, identical, length, climbing, untrained, impossible, exchanged),
-        *(
-            padding,
-            ends,
-            standardised,
-            opponents,
-            unshared,
-            probes,
-            words,
-            still,
-            flight,
-            certain,
-            corridor,
-            fall,
-            parted,
-        ),
+        *(padding, ends, standardised, opponents, unshared, probes, words, still),
+        *(flight, certain, corridor, fall, parted),
     )
 }
 
